@@ -272,17 +272,22 @@ class StationConfig:
         if self.restarts and self.time_step:
             self._check_restarts()
         check_pushes(scene, self.pushes)
+        self._check_way()
         if self.hand is not None:
             self._check_hand(scene)
+
+    def _check_way(self) -> None:
+        if not isinstance(self.turn, (list, tuple)):
+            raise SceneError(f"turn = {self.turn!r}: give lists of three numbers, degrees")
+        vectors = {"move": self.move} | {f"turn[{k}]": turn for k, turn in enumerate(self.turn)}
+        for name, vector in vectors.items():
+            if len(finite_numbers(vector, name)) != 3:
+                raise SceneError(f"{name} = {vector!r}: give three numbers")
 
     def _check_hand(self, scene: Scene) -> None:
         require_config(self.hand, Hand, "hand")
         assert self.hand is not None
         self.hand.check(len(scene.contacts))
-        vectors = {"move": self.move} | {f"turn[{k}]": turn for k, turn in enumerate(self.turn)}
-        for name, vector in vectors.items():
-            if len(finite_numbers(vector, name)) != 3:
-                raise SceneError(f"{name} = {vector!r}: give three numbers")
         if self.object != "free" or not self.time_step:
             raise SceneError('hand: it needs object = "free" and a time_step above 0')
 

@@ -101,7 +101,7 @@ class HandDriver(LeafSystem):
         self._sliding = self.DeclareVectorInputPort("sliding", 3 * len(constants))
         self._push = self.DeclareVectorInputPort("push", 3 * len(constants) + 3)
         needs = (self.all_input_ports_ticket(), self.xd_ticket(), self.time_ticket())
-        law, self._law = array_entry(self._CalcLaw, (len(joints),), needs)
+        law, self._law = array_entry(self._CalcLaw, (2, len(joints)), needs)
         self.DeclareVectorOutputPort("torque", len(joints), weakly(self._CalcTorque), {law})
         self.DeclareVectorOutputPort(
             "generalized_force", self._sizes[1], weakly(self._CalcForce), {law}
@@ -110,6 +110,7 @@ class HandDriver(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._step, 0.0, weakly(self._Correct))
 
     def _CalcLaw(self, context: Context) -> Array:
+        """Torques of the joints, and what pushes on the tips are to them, (2, nq)."""
         (chains, laws), x = self._own.own, self._state.Eval(context)
         q, v = x[self._at_q], x[self._sizes[0] :][self._at_v]
         want = self._table.at(context.get_time())
@@ -135,20 +136,20 @@ class HandDriver(LeafSystem):
         laws.run()
         for J, wrench in zip(jacobians, laws.results):
             torque += J.T @ wrench
-        return np.clip(torque, -chains.effort, chains.effort)
+        pushed = np.zeros(len(torque))
+        if self._push.HasValue(context):
+            for J, force in zip(jacobians, self._push.Eval(context).reshape(-1, 3)):
+                pushed += J[3:].T @ force
+        return np.array([np.clip(torque, -chains.effort, chains.effort), pushed])
 
     def _CalcTorque(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._law(context))
+        output.SetFromVector(self._law(context)[0])
 
     def _CalcForce(self, context: Context, output: BasicVector) -> None:
-        force, torque = np.zeros(self._sizes[1]), self._law(context)
-        force[self._at_v] = torque
+        force = np.zeros(self._sizes[1])
+        force[self._at_v] = self._law(context).sum(0)
         if self._push.HasValue(context):
-            *tips, obj = self._push.Eval(context).reshape(-1, 3)
-            force[self._free + 3 : self._free + 6] += obj
-            for i, pushed in enumerate(tips):
-                if pushed.any():
-                    force[self._at_v] += self._own.own[0].jacobian(i)[3:].T @ pushed
+            force[self._free + 3 : self._free + 6] += self._push.Eval(context)[-3:]
         output.SetFromVector(force)
 
     def _Correct(self, context: Context, state: State) -> None:

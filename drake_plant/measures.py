@@ -29,6 +29,9 @@ STANDING = 1e-4
 ROLLS = 1e-2
 """Part of sigma below which planned slip counts as rolling."""
 
+SLIDING, CREEPING = 10.0, 1e-3
+"""Slip counts as sliding above so many times that before any disturbance, and this [m/s]."""
+
 CARRIED = 0.95
 """Part of its weight that carries an object."""
 
@@ -65,7 +68,8 @@ class ContactReport:
     saturated : float
         Part of that time with friction saturated.
     slid : bool
-        Whether the contact slid in it at all: friction came to its limit while it touched.
+        Whether the contact slid in it at all: while it touched, friction came to its limit, or slip
+        was ten times `slip_before` and 1 mm/s, as "lagged" makes too little friction.
     slip_before : float
         Greatest slip before any disturbance [m/s].
     recovery : float
@@ -211,13 +215,18 @@ def outcome(scene: Scene, duration: float | None = None) -> dict[str, Array]:
 
 def object_report(result: SimulationResult) -> ObjectReport:
     """How far the object moved and turned, and whether it falls."""
+    pushes = [push for push in result.config.pushes if push.on == "object"]
     poses, time = result.object_pose, result.t[-1] - result.t[0]
     path = poses[:, :3, 3] - poses[0, :3, 3]
     traces = np.einsum("mij,ij->m", poses[:, :3, :3], poses[0, :3, :3])
     angle = np.arccos(np.clip((traces - 1) / 2, -1, 1))
     config, carried = result.config, math.nan
     if config.gravity and config.object == "free":
-        carried = 1 + 2 * path[-1, 2] / (config.gravity * time**2)
+        # without the way that pushes alone would have moved it
+        since = [result.t[-1] - np.clip([p.start, p.stop], *result.t[[0, -1]]) for p in pushes]
+        pushed = [p.force[2] * (a**2 - b**2) for p, (a, b) in zip(pushes, since)]
+        fallen = path[-1, 2] - sum(pushed) / (2 * config.object_mass)
+        carried = 1 + 2 * fallen / (config.gravity * time**2)
     farthest = np.linalg.norm(path, axis=1).max()
     return ObjectReport(float(farthest), float(angle.max()), float(carried))
 
@@ -228,7 +237,8 @@ def push_table(result: SimulationResult) -> list[PushReport]:
     names = [result.scene.contact_name(i) for i in range(len(result.scene.contacts))]
     apart = np.linalg.norm(_misses(result), axis=2)
     slips, away, reports = path_slid(result), time_off(result), []
-    for push, stop in zip(pushes, [*(push.start for push in pushes[1:]), math.inf]):
+    for push in pushes:
+        stop = min((p.start for p in pushes if p.start > push.start), default=math.inf)
         seen = (result.t > push.start) & (result.t <= stop)
         if seen.any():
             of = slice(None) if push.on == "object" else [names.index(push.on)]
@@ -351,17 +361,20 @@ def _rejection(
     """What the last disturbance did, if it was seen and is over."""
     t, slip = result.t, np.linalg.norm(result.measured["slip"][:, i], axis=1)
     start, stop = disturbed[-1] if disturbed else (math.inf, math.inf)
-    during = (t >= start) & (t < stop)
-    if not during.any() or not (t > stop).any():
+    first, last = np.searchsorted(t, (start, stop))
+    # the row after it tells too what it did, and alone of one between two rows
+    during, seen = slice(first, max(last, first + 1)), slice(first, last + 1)
+    if not (t > stop).any():
         nothing = ("disturbed_slip", "saturated", "recovery", "reported")
         return dict.fromkeys(nothing, math.nan) | {"slid": False}
     normal, friction = _forces(result, i)
     # A finger that is off the object, or that nothing holds, has no friction to saturate.
     limit = result.config.friction * normal
     at_limit = (friction >= SATURATED * limit) & (normal > 0)
-    slid = bool(at_limit[during].any())
-    mean = _mean(slip[during])
-    level = np.fmax(REJECTED * mean, _greatest(slip[early & (t >= EDGE)]))
+    mean, before = _mean(slip[during]), _greatest(slip[early & (t >= EDGE)])
+    level = np.fmax(REJECTED * mean, before)
+    sliding = (slip > np.fmax(SLIDING * before, CREEPING)) & (normal > 0)
+    slid = bool((at_limit | sliding)[seen].any())
     return {
         "disturbed_slip": mean,
         "saturated": float((at_limit & (friction > 0))[during].mean()),

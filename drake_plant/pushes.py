@@ -16,13 +16,16 @@ from .plant import AGES
 EARLY = 1e-9  # s, by which a push begins and ends before its time: a step may come as late
 
 
-def PushSource(scene: Scene, pushes: Sequence[Push]) -> TrajectorySource:
+def PushSource(scene: Scene, pushes: Sequence[Push], time_step: float = 0.0) -> TrajectorySource:
     """What the port `push` of a :class:`FingertipDriver` takes: (3n + 3), N.
 
     Parameters
     ----------
     scene : Scene
     pushes : sequence of Push
+    time_step : float
+        Of a discrete plant, s, which holds a force for a step: in steps where a push begins or
+        ends, its mean; 0: as it is.
 
     Raises
     ------
@@ -31,11 +34,15 @@ def PushSource(scene: Scene, pushes: Sequence[Push]) -> TrajectorySource:
     """
     check_pushes(scene, pushes)
     names = body_names(scene)
-    edges = sorted({0.0, *(p.start for p in pushes), *(p.stop for p in pushes)})
-    forces = np.zeros((len(edges) + 1, len(names), 3))
+    edges = np.array([0.0, *(p.start for p in pushes), *(p.stop for p in pushes)])
+    if time_step:
+        steps = np.floor(edges / time_step + 1e-6)
+        edges = time_step * np.concatenate([steps, steps + 1])
+    edges = np.append(np.unique(edges), AGES)
+    forces = np.zeros((len(edges), len(names), 3))
     for push in pushes:
-        acting = [push.start <= edge < push.stop for edge in edges]
-        forces[:-1][acting, names.index(push.on)] += push.force
-    breaks = np.maximum([*edges, AGES], EARLY) - EARLY
+        acting = np.diff(np.clip(edges, push.start, push.stop)) / np.diff(edges)
+        forces[:-1, names.index(push.on)] += np.outer(acting, push.force)
+    breaks = np.maximum(edges, EARLY) - EARLY
     held = PiecewisePolynomial.ZeroOrderHold(breaks, forces.reshape(len(breaks), -1).T)
     return TrajectorySource(held)

@@ -28,9 +28,11 @@ from .pressing import rolling_scene
 
 Array = NDArray[np.float64]
 
-NODES = 17  # times of a plan, evenly from the start of the motion to its end
+NODES = 17  # times of a plan at first, evenly from the start of the motion to its end
+MOST_NODES = 2000
+BETWEEN = 1e-4  # rad or m, that joints are off their way half-way between two nodes
 FREE = 6  # joints of a finger that leave the pose of its tip free
-LEG_NODES = 33  # times of a plan on legs, which are four at most
+LEG_NODES = 33  # least times of a plan on legs, which are four at most
 BEGIN, END = 0.1, 0.75  # of the duration, when the object begins to move, and rests
 
 
@@ -75,7 +77,7 @@ class Reorientation:
     Attributes
     ----------
     hand, scene, config
-        As given.
+        As given; the configuration has the hand.
     rolling : Scene
         Its contacts are where the fingers begin, on the radii that bodies roll on.
     route : Scene or None
@@ -169,6 +171,7 @@ def plan_reorientation(
     """
     if config is None:
         config = StationConfig.from_scene(scene)
+    config = dataclasses.replace(config, hand=hand)
     with naming(scene.title):
         hand.check(len(scene.contacts))
         rolling = rolling_scene(scene, config)
@@ -179,12 +182,28 @@ def plan_reorientation(
             path = ShortestPath(RigidTransform(), goal, t[0], t[-1])
         else:
             t = np.linspace(0, scene.duration, 2 * NODES)
-        q, v = _rolled(chains, path, t)
+        t, q, v = _resolved(chains, path, t)
         route = None
         if min(map(len, chains.joints)) >= FREE:
             t, q, v, route = _routed(chains, path, t, q)
         chains.refuse_limits(t, q)
         return _completed(hand, scene, config, path, chains, route, t, q, v)
+
+
+def _resolved(chains: Chains, path: Any, t: Array) -> tuple[Array, Array, Array]:
+    """Times close enough for a path, joints that roll along, and their velocities."""
+    q, v = _rolled(chains, path, t)
+    while len(t) <= MOST_NODES:
+        finer = np.linspace(t[0], t[-1], 2 * len(t) - 1)
+        q_finer, v_finer = _rolled(chains, path, finer)
+        if np.abs(CubicHermiteSpline(t, q, v)(finer) - q_finer).max() <= BETWEEN:
+            return t, q, v
+        t, q, v = finer, q_finer, v_finer
+    chains.refuse_limits(t, q)
+    raise SceneError(
+        f"path: joints half-way between {len(t)} poses are not known to {BETWEEN:g}; give a path "
+        "that moves less abruptly"
+    )
 
 
 def _rolled(chains: Chains, path: Any, t: Array) -> tuple[Array, Array]:
@@ -230,7 +249,7 @@ def _routed(
     ]
     scene = _starting(chains.scene, ends[0], finger_velocity=(1.0, 0.0))
     route = reach(scene.replace(duration=t[-1] - t[0]), goals).scene
-    t = np.linspace(t[0], t[-1], LEG_NODES)
+    t = np.linspace(t[0], t[-1], max(LEG_NODES, len(t)))
     found = make_plan(route).evaluate(t - t[0], "pose", "twist")
     q, v = [rolled[0]], [np.zeros_like(rolled[0])]
     for k, poses in enumerate(found["pose"]):

@@ -168,7 +168,7 @@ def add_pushes(
 ) -> None:
     """What pushes fingers and object: the configuration's pushes, or an exported port."""
     if config.pushes:
-        source = builder.AddNamedSystem("push", PushSource(scene, config.pushes))
+        source = builder.AddNamedSystem("push", PushSource(scene, config.pushes, config.time_step))
         builder.Connect(source.get_output_port(), driver.GetInputPort("push"))
     else:
         builder.ExportInput(driver.GetInputPort("push"), "push")

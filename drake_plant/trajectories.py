@@ -119,6 +119,9 @@ class _Part:
 
     def error(self) -> float:
         """The greatest, half-way between breaks, in tolerances of 1."""
+        turning = np.linalg.norm(self.values[:, TWIST][:, :3], axis=1).max()
+        if turning * (self.t[1] - self.t[0]) > 1.0:  # rad; whole turns in a piece look like none
+            return np.inf
         off = np.abs(self._spline(self._half) - self._there)
         scale = np.full(15, self._size)
         for rows in (slice(0, 3), slice(3, 6)):

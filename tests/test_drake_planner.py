@@ -288,6 +288,13 @@ def test_trajectories_follow_the_plan_and_can_be_pickled(name):
                 assert np.array_equal(one.value(time), other.value(time))
 
 
+def test_trajectories_of_many_turns_do_not_skip_them():
+    profile = {"profile": cs.Profile([0.8]), "duration": 3.2 * np.pi}  # 128 turns
+    ball = cs.Contact(cs.Sphere(0.01), object_at=(0.0, 0.0))
+    made = MakeTrajectories(cs.plan(cs.Scene(object=cs.Plane(), contacts=[ball], **profile)))
+    assert np.linalg.norm(made.pose.GetVelocity(1.0)[:3]) == pytest.approx(80.0, rel=1e-3)
+
+
 def test_trajectories_of_what_is_not_there_are_refused():
     plan = cs.plan(cs.load_scene("K1"))
     with pytest.raises(cs.SceneError, match="contact = 3: give one of 0 to 2"):

@@ -259,8 +259,9 @@ def test_a_sweep_of_simulations_loses_nothing_with_a_worker_of_dask_and_goes_on(
 
 
 def test_a_push_on_the_object_moves_it_by_its_mass():
-    runs = [pushed(Push("object", 0.1, 0.15, [0.0, 0.0, force])) for force in (10.0, 0.0)]
-    speed = 10.0 * 0.05 / (4.18 + 3 * 0.261)  # the fingers go with it
+    # within a step, whose mean force acts
+    runs = [pushed(Push("object", 0.1002, 0.1008, [0, 0, force])) for force in (800.0, 0.0)]
+    speed = 800.0 * 0.0006 / (4.18 + 3 * 0.261)  # the fingers go with it
     pushed_so, still = (r.object_pose[[np.searchsorted(r.t, 0.15), -1], :3, 3] for r in runs)
     moved = np.diff(pushed_so - still, axis=0)[0]
     assert moved == pytest.approx([0.0, 0.0, speed * 0.25], abs=0.2 * speed * 0.25)

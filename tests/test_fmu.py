@@ -382,10 +382,8 @@ def test_start_values_make_another_scene(kind, version):
 @of_kinds
 def test_a_radius_that_is_set_takes_the_start_with_it(kind):
     long, longer = K1.replace(object=cs.Ellipsoid(0.2, 0.1, 0.1)), cs.Ellipsoid(0.25, 0.1, 0.1)
-    for scene, name, body in (
-        *((K1, "radius", cs.Sphere(radius)) for radius in (0.12, 0.03)),
-        (long, "a", longer),
-    ):
+    cases = [*((K1, "radius", cs.Sphere(r)) for r in (0.12, 0.03)), (long, "a", longer)]
+    for scene, name, body in cases:
         one = Instance(scene, kind, "2.0").begin(start={f"object.{name}": body.size})
         one.step(0.5)
         plan = cs.plan(scene.replace(object=body))

@@ -77,10 +77,7 @@ CASES: dict[str, tuple[Surface, Chart]] = {
         Quadric(np.diag([1.0, -0.25, -4.0])),
         lambda u, v: (sqrt(1 + u**2 + v**2), 2 * u, 0.5 * v),
     ),
-    "elliptic cylinder": (
-        Quadric(np.diag([0.25, 1.0, 0.0])),
-        lambda u, v: (2 * cos(u), sin(u), v),
-    ),
+    "elliptic cylinder": (Quadric(np.diag([0.25, 1.0, 0.0])), lambda u, v: (2 * cos(u), sin(u), v)),
     "hyperbolic cylinder": (
         Quadric(np.diag([1.0, -4.0, 0.0])),
         lambda u, v: (sqrt(1 + u**2), u / 2, v),

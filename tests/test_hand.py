@@ -100,7 +100,11 @@ def test_a_path_of_drake_is_followed(joints):
     path = PiecewisePose.MakeLinear([0.0, 4.0], [RigidTransform(), goal])
     plan = plan_reorientation(Hand(joints=joints), H2, path=path)
     np.testing.assert_allclose(plan.object_pose[-1], goal.GetAsMatrix4(), atol=1e-12)
-    assert plan.slip.max() < 1e-8
+    assert plan.slip.max() < 1e-8 and plan.config.hand == plan.hand
+    t = np.linspace(0, 4, 401)
+    fast = [RigidTransform(RotationMatrix.MakeZRotation(0.02 * np.sin(9 * x))) for x in t]
+    path = PiecewisePose.MakeCubicLinearWithEndLinearVelocity(t, fast)
+    assert plan_reorientation(Hand(joints=joints), H2, path=path).slip.max() < 1e-8
 
 
 @pytest.mark.parametrize("model", ["point", "hydroelastic"])

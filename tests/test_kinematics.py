@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import (
-    SURFACES,
-    assert_twist_is_the_rate_of_the_pose,
-    derivative,
-    one_contact,
-)
+from conftest import SURFACES, assert_twist_is_the_rate_of_the_pose, derivative, one_contact
 from oracles.formulas import path_velocities, reflection
 
 import contact_system as cs

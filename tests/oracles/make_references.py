@@ -78,9 +78,7 @@ def contact_record(case: Case, times: Sequence[float], stiff: bool) -> dict[str,
     name = f"{case.object} {case.law} {case.eta:.3g} at {case.object_at}"
     first, second = STIFF_PASSES if stiff else PASSES
     states = integrate(case, times, *first)
-    checks = {
-        "slip_law_error": agreed(f"slip law, {name}", slip_law_error(case, times, states)),
-    }
+    checks = {"slip_law_error": agreed(f"slip law, {name}", slip_law_error(case, times, states))}
     if not case.windows:
         difference = development_error(case, times, states)
         checks["development_error"] = agreed(f"development, {name}", difference)
