@@ -115,7 +115,8 @@ class _Contact:
         ]
         text = "Co-Simulation goes on from what is measured when this changes to another number "
         rows = [*own.rows("trigger", (), NONE, text + "than 0"), *rows]
-        rows = [replace(v, causality="input", initial=None) for v in rows]
+        # discrete, so that importers hold values and do not interpolate them
+        rows = [replace(v, causality="input", variability="discrete", initial=None) for v in rows]
         return _started(rows, [0.0, *start])
 
     @property

@@ -96,7 +96,8 @@ def unit_name(unit: Unit) -> str:
 def chart_units(surface: Surface) -> tuple[Unit | None, Unit | None]:
     """Units of u and v; None where a user's chart does not say."""
     if isinstance(surface, UserSurface):
-        u, v = (RADIAN if period else None for period in surface.periods())
+        around = [period and math.isclose(period, 2 * math.pi) for period in surface.periods()]
+        u, v = (RADIAN if turns else None for turns in around)
     else:
         u, v = (METRE if is_length else RADIAN for is_length in surface.chart.lengths)
     return u, v

@@ -129,6 +129,10 @@ def _structure(
     stops = [getattr(d.defaultExperiment, "stopTime", None) for _, d in models.values()]
     stop = max((float(t) for t in stops if t), default=1.0)
     _add(root, "DefaultExperiment", startTime="0", stopTime=repr(stop))
+    for parent in [*root.iter()]:  # SSP has no empty lists of these
+        for child in [e for e in parent if e.tag.endswith(("Connectors", "Connections"))]:
+            if not len(child):
+                parent.remove(child)
     return xml_text(root)
 
 

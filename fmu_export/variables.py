@@ -259,5 +259,7 @@ def _tell_dependencies(table: Table, i: int) -> None:
     known = [tuple(sorted({r for j in np.flatnonzero(row) for r in behind[j]})) for row in found]
     for at, v in enumerate(table.rows[group[DERIVATIVES] : group[-1]]):
         v.known = known[at]
+        if v.causality == "output":  # a getter goes on from what is measured
+            v.known += tuple(range(group[1], group[STATE_GROUP]))
         if v.reference < group[DERIVATIVES + 1]:
             v.derivative = at + group[STATE_GROUP]

@@ -384,9 +384,12 @@ def test_a_radius_that_is_set_takes_the_start_with_it(kind):
     long, longer = K1.replace(object=cs.Ellipsoid(0.2, 0.1, 0.1)), cs.Ellipsoid(0.25, 0.1, 0.1)
     cases = [*((K1, "radius", cs.Sphere(r)) for r in (0.12, 0.03)), (long, "a", longer)]
     for scene, name, body in cases:
-        one = Instance(scene, kind, "2.0").begin(start={f"object.{name}": body.size})
+        one, plan = Instance(scene, kind, "3.0"), cs.plan(scene.replace(object=body))
+        one.own.enterInitializationMode()
+        one.put({f"object.{name}": body.size})
+        close(one.get("contact[1].object.point"), plan.points(0.0)[0, 0, 1])
+        one.own.exitInitializationMode()
         one.step(0.5)
-        plan = cs.plan(scene.replace(object=body))
         close(one.get("contact[1].object.point"), plan.points(0.5)[0, 0, 1])
 
 
@@ -501,6 +504,11 @@ def test_without_early_return_the_step_is_made(kind):
     rounded.own.enterStepMode()
     rounded.step(0.2)  # and 0.2 + 0.1 > 0.3
     assert rounded.step(0.1) == (True, False, False, pytest.approx(0.3))
+    ends = Instance(EVERYTHING, kind, "3.0", eventModeUsed=True)
+    ends.put({f"profile[{k + 1}]": x for k, x in enumerate((1.0, -1.0, 0.0))})
+    ends.begin().own.enterStepMode()
+    ends.refused("sigma is negative from", ends.step, 1.5)
+    assert ends.step(0.2) == (True, False, False, 0.2)  # from where it stood
 
 
 @of_kinds

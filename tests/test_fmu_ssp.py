@@ -27,6 +27,7 @@ def test_a_planner_is_pushed_by_another_models_output(tmp_path):
     """fmpy passes on what was said a step before."""
     other = export_fmu(LEFT, tmp_path / "other.fmu")
     wires = [(f"wind.{SLIP}", f"hand.{PUSH}"), (f"hand.{SLIP}", "slip")]
+    assert read_ssd(str(export_ssp({"alone": LEFT}, tmp_path / "alone.ssp")))
     path = export_ssp({"wind": other, "hand": RIGHT}, tmp_path / "windy.ssp", wires)
     result = simulate_ssp(str(path), stop_time=0.5, step_size=STEP)
     wind, hand = (Instance(scene, "FMU", "2.0").begin() for scene in (LEFT, RIGHT))

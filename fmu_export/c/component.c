@@ -35,8 +35,8 @@ static void free_component(component_t *c) {
     drop_plan(c, i);
     free(c->live[i].registers);
   }
-  free(c->own), free(c->live), free(c->buffer), free(c->seed), free(c->grown), free(c->tangents),
-      free(c->registers);
+  free(c->own), free(c->before), free(c->live), free(c->buffer), free(c->seed), free(c->grown),
+      free(c->tangents), free(c->registers);
   free_model(c->model);
 }
 
@@ -70,7 +70,8 @@ static const char *make_component(component_t *c, const char *resources) {
     legs = (size_t)fmax((double)legs, row[P_N_LEGS] * (LEG_SIZE + size));
   }
   c->engine = contact_engine();
-  c->own = new_saved(m), c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
+  c->own = new_saved(m), c->before = new_saved(m),
+  c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
   c->buffer = malloc((legs + (size_t)(S_HEADER + m->n_values + CONTACT_SIZE +
                                       WINDOW_SIZE * (m->n_windows + 3) + 4)) *
                      sizeof(double));
@@ -83,17 +84,26 @@ static const char *make_component(component_t *c, const char *resources) {
     memcpy(c->live[i].registers + t->first_lit, t->literals, (size_t)t->n_lit * sizeof(double));
   }
   c->tangents = malloc(registers * sizeof *c->tangents);
-  if (!c->own || !c->live || !c->buffer || !c->seed || !c->grown || !c->tangents)
+  if (!c->own || !c->before || !c->live || !c->buffer || !c->seed || !c->grown || !c->tangents)
     return "no memory";
   c->now = &c->own->memory;
   c->value = (double *)(c->now + 1), c->segment = (segment_t *)(c->value + m->n_values);
   return NULL;
 }
 
+static void keep_state(component_t *c) { memcpy(c->before, c->own, c->own->length); }
+
+static void take_back(component_t *c) {
+  memcpy(c->own, c->before, c->own->length);
+  forget(c);
+}
+
 /* */
 #include "plans.c"
 /* */
 #include "events.c"
+/* */
+#include "starts.c"
 /* */
 #include "results.c"
 

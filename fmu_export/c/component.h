@@ -46,6 +46,7 @@ typedef struct {
 typedef struct {
   int phase, stepping, settled;
   int pending; /* an edge is reached, and values are those before it */
+  int jumped;  /* a window has begun or ended, and the importer does not know */
   int ended;   /* the last step asked for goes beyond sigma's end, or an event was there */
   double time, stop_time;
   double acts_at; /* of this time are the windows: the edge that time is at, or before it */
@@ -72,10 +73,10 @@ typedef struct {
 typedef struct {
   model_t *model;
   const engine_t *engine;
-  saved_t *own;
-  memory_t *now;      /* in *own */
-  double *value;      /* in *now */
-  segment_t *segment; /* in *now */
+  saved_t *own, *before; /* the state, and one to go back to */
+  memory_t *now;         /* in *own */
+  double *value;         /* in *now */
+  segment_t *segment;    /* in *now */
   live_t *live;
   double *buffer;       /* a contact's scene for the engine */
   double *seed, *grown; /* of all values */
@@ -84,7 +85,6 @@ typedef struct {
   long room;              /* so many */
   const char *unmeasured; /* why what was measured is no place to go on from */
   failure_t failure;
-  int jumped;         /* a window has begun or ended, and the importer does not know */
   const char *called; /* the function of FMI that the importer has called */
   int uses_events;    /* the importer handles them */
 } component_t;

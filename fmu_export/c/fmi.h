@@ -409,8 +409,8 @@ typedef struct {
 
 static update_t update(component_t *c) {
   enter_windows(c);
-  const int stepping = c->now->stepping, jumped = c->jumped;
-  c->jumped = 0;
+  const int stepping = c->now->stepping, jumped = c->now->jumped;
+  c->now->jumped = 0;
   const double next = stepping ? next_window(c) : next_edge(c);
   return (update_t){.terminate = c->now->ended && !stepping,
                     .values = jumped && !stepping,

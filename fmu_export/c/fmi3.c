@@ -172,10 +172,13 @@ FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool 
   NEEDS(event && terminate && early && last_time);
   *event = *terminate = *early = 0, *last_time = c->now->time;
   if (check_step(c, from, size)) return FAILED;
+  const int crosses = c->uses_events && !own->early_return;
+  if (crosses) keep_state(c);
   status_t s = OK;
   do /* across edges where the importer does not let a step end early */
     s = step(c, target, c->uses_events, &edge);
-  while (!s && edge && !own->early_return && !reached(c->now->time, target));
+  while (!s && edge && crosses && !reached(c->now->time, target));
+  if (s && crosses) take_back(c);
   *last_time = c->now->time, *terminate = c->now->ended;
   *event = edge && !s, *early = !s && !reached(c->now->time, target);
   return s;

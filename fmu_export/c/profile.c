@@ -47,13 +47,24 @@ static long signs_of(const leg_t *leg, int order, double from, double to,
   return n;
 }
 
+/* A time from which on a leg's sigma has no zeros (Fujiwara 1916) nor turning points, or 30 years
+ */
+static double beyond_zeros(const component_t *c, const leg_t *leg, double from) {
+  const double *p = leg->sigma;
+  long n = leg->n;
+  double most = 0.0;
+  while (n > 1 && p[n - 1] == 0.0) n--;
+  for (long k = 1; k < n; k++) most = fmax(most, pow(fabs(p[n - 1 - k] / p[n - 1]), 1.0 / k));
+  return fmax(from + 1e3 * c->model->data[D_HORIZON], leg->start + fmin(2.0 * most, 1e9));
+}
+
 /* Only the last leg's sigma may turn negative. */
 static void study_profiles(component_t *c) {
   c->now->limit = HUGE_VAL;
   for (long i = 0; i < c->model->n_contacts; i++) {
     const leg_t leg = leg_of(c, i, n_legs(c->model, i) - 1);
     const double begin = fmax(c->now->time, leg.start);
-    const double far = begin + 1e3 * c->model->data[D_HORIZON];
+    const double far = beyond_zeros(c, &leg, begin);
     double at[2 * MAX_PROFILE];
     const long n = signs_of(&leg, 0, begin, far, at);
     const double middle = 0.5 * (begin + (n ? at[0] : far)) - leg.start;
@@ -122,7 +133,7 @@ static double next_edge(const component_t *c) {
   if (!reached(now->time, now->limit)) next = fmin(next, now->limit);
   for (long i = 0; i < c->model->n_contacts && c->model->data[D_MAKES_UP] > 0; i++) {
     const leg_t leg = leg_of(c, i, leg_now(c, i));
-    const double far = fmin(now->limit, now->time + 1e3 * c->model->data[D_HORIZON]);
+    const double far = fmin(now->limit, beyond_zeros(c, &leg, now->time));
     const long n = signs_of(&leg, 1, now->time, far, turn);
     for (long k = 0; k < n; k++)
       if (!reached(now->time, turn[k]) && turn[k] < next) next = turn[k];

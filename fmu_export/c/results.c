@@ -56,7 +56,10 @@ static void find_rates(component_t *c, long i, unsigned groups) {
 static status_t find(component_t *c, long i, unsigned groups) {
   live_t *k = c->live + i;
   if (SYSTEM(c->now)) {
-    if (!k->valid && groups) find_system(c, i), k->valid = ALL_RESULTS;
+    if (!k->valid && groups) {
+      (c->now->phase == INITIALIZATION ? find_before_start : find_system)(c, i);
+      k->valid = ALL_RESULTS;
+    }
     return OK;
   }
   const unsigned rates = BIT(OF_RATES), states = BIT(OF_STATES);

@@ -3,7 +3,7 @@
 #define SAVED_MARK                                                                                 \
   0x53544341544e4f43ULL /* CONTACTS; not 0, as importers look at the first word                    \
                          */
-#define STATE_VERSION 8ULL
+#define STATE_VERSION 9ULL
 
 static size_t memory_size(const model_t *m) {
   return sizeof(memory_t) + (size_t)m->n_values * sizeof(double) +
@@ -63,7 +63,6 @@ static status_t read_state(component_t *c, const void *bytes, size_t count, void
         c, FAILED,
         "serialized FMU state refused: %s; use the bytes that this FMU wrote, as they are", wrong);
   }
-  free(*state);
-  *state = s;
+  *state = s; /* what was there before is nothing to read: it may be uninitialized */
   return OK;
 }

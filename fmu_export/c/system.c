@@ -76,7 +76,7 @@ static void enter_windows(component_t *c) {
   now->pending = 0;
   if (!now->stepping) now->ended = reached(now->time, now->limit);
   for (long k = 0; k < n_edges(c->model); k++)
-    c->jumped |= before < edge_of(c, k) && edge_of(c, k) <= now->acts_at;
+    now->jumped |= before < edge_of(c, k) && edge_of(c, k) <= now->acts_at;
   if (now->stepping || !(now->phase & (EVENT | CONTINUOUS))) return;
   for (long i = 0; i < c->model->n_contacts; i++) {
     for (long k = 1; k < n_legs(c->model, i); k++) {
@@ -85,6 +85,6 @@ static void enter_windows(component_t *c) {
     }
     if (!leaves_slip_behind(c, i)) continue;
     no_slip(c->model->layout + i, c->value + c->model->layout[i].at[OF_STATES]);
-    c->jumped = 1;
+    now->jumped = 1;
   }
 }

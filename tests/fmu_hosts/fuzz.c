@@ -147,9 +147,10 @@ static int parse(fmu_t fmu, const unsigned char *given, size_t n, F(FMUstate, FM
 }
 
 static int read_bytes(fmu_t fmu, const unsigned char *given, size_t n) {
-  F(FMUstate, FMUState) *to = &state[below(KEPT)], before = *to;
-  const int status = parse(fmu, given, n, to);
-  if (status && *to != before) fail("refused bytes change the state that was given");
+  F(FMUstate, FMUState) *to = &state[below(KEPT)], made = NULL;
+  const int status = parse(fmu, given, n, &made);
+  if (status && made) fail("refused bytes make a state");
+  if (!status) F(FreeFMUstate, FreeFMUState)(fmu, to), *to = made;
   return status;
 }
 
