@@ -29,8 +29,8 @@ SIZES = {name: rows.stop - rows.start for name, rows in COLUMNS.items()} | {"sli
 NOISY = ("state", "sliding")
 SATURATED = 0.95
 """Friction counts as saturated from this part of mu N on: facets let N itself ripple."""
-SLIDES = 0.85
-"""Slip is fed back from this part on: sooner than it is sure that friction is saturated."""
+SLIDES = 0.7
+"""Slip is fed back from this part on: "lagged" makes no more than 0.74 where a finger slides."""
 
 
 class ContactMonitor(LeafSystem):
