@@ -95,6 +95,7 @@ def body_names(scene: Scene) -> list[str]:
 
 def check_pushes(scene: Scene, pushes: Sequence[Push]) -> None:
     """Raise a SceneError for the first push that a scene cannot have."""
+    require_scene(scene)
     for k, push in enumerate(pushes):
         with naming(f"pushes[{k}]"):
             require_config(push, Push, "push")

@@ -20,7 +20,7 @@ from contact_system.checks import naming
 from contact_system.contact_sensor import FOUND, NORMAL, ON_FINGER, ON_OBJECT, SLIP, STATES
 
 from .balance import balancing_forces, friction_used, needed_wrench
-from .config import StationConfig
+from .config import StationConfig, require_config
 from .hand import Hand
 from .hand_kinematics import Chains
 from .plant import AddScenePlant, solid_inertia
@@ -169,6 +169,7 @@ def plan_reorientation(
         A finger that does not reach, with the joint and its limit; a contact that leaves its pad;
         forces that nothing balances, with the wrench that is left; a torque beyond its limit.
     """
+    require_config(hand, Hand, "hand")
     if config is None:
         config = StationConfig.from_scene(scene)
     config = dataclasses.replace(config, hand=hand)

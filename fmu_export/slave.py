@@ -26,7 +26,7 @@ from fmpy.model_description import read_model_description
 from contact_system.checks import flag, function_or_none
 from contact_system.engine.binding import LIBRARY
 from contact_system.errors import SceneError
-from contact_system.scene import Scene
+from contact_system.scene import Scene, require_scene
 
 from .build import library_place
 from .data import scene_data
@@ -78,6 +78,7 @@ class _Slave:
         logger: Logger | None = None,
         **described: Any,
     ):
+        require_scene(scene)
         if not isinstance(name, str):
             raise SceneError(f"name = {name!r:.80}: give a text")
         logger = function_or_none(logger, "logger", "a function of a status, a category and a text")
