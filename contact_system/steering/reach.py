@@ -234,9 +234,11 @@ class _Search:
             if np.linalg.norm(self._gap(z)) > REACHED:
                 from scipy.optimize import least_squares  # takes 0.2 s
 
-                unit = np.repeat([1.0, self.aim.unit], len(z) // 2)
+                n, longest = len(z) // 2, self.longest or math.inf
+                unit, most = np.repeat([[1.0, self.aim.unit], [math.inf, longest]], n, axis=1)
                 least = {"x_scale": unit, "xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
-                z = least_squares(self._gap, z, max_nfev=CORRECTIONS, **least).x
+                least |= {"bounds": (-most, most), "max_nfev": CORRECTIONS}
+                z = least_squares(self._gap, np.clip(z, -most, most), **least).x
             off = float(np.linalg.norm(self._gap(z)))
             return _Route(z, self.alone(z), off, squares) if off <= REACHED else None
         except ContactSystemError:  # such as a path through a pole
