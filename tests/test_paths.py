@@ -238,15 +238,6 @@ def test_geodesic_along_a_seam_crosses_beside_the_umbilic():
     assert (np.cos(plan.states(np.linspace(0, 1, 400))[:, 0, 5]) > 0).all()
 
 
-def test_coarse_plans_have_one_branch_for_few_and_many_times():
-    at = (-0.0016728859139098205, 1.570554192253053)
-    along = (0.9998052877529914, -0.019732880711087683)
-    scene = alone(cs.Ellipsoid(1, 0.6, 0.59), at, (1.0,), finger_velocity=along)
-    t, tolerance = np.linspace(0, 1, 401), 0.08113544635687064
-    many, few = (cs.plan(scene, tolerance).states(x) for x in (t, t[::40]))
-    assert np.abs(many[::40] - few).max() < 0.2
-
-
 def test_coordinates_lose_no_turn_where_a_path_that_slips_goes_straight_through_a_pole():
     rng, asked = np.random.default_rng(4), 0
     for k in range(60):
@@ -474,6 +465,24 @@ def test_a_pole_beside_an_end_of_the_path_is_seen_and_one_beyond_it_is_not(u, me
         scenes = [rolled_over(obj, u) for obj in (BALL, cs.Sphere(0.1))]
         pose, expected = (cs.plan(scene, 1e-9, method).pose(1.0) for scene in scenes)
         assert pose == pytest.approx(expected, abs=1e-8)
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])
+def test_rates_that_jump_between_nodes_are_seen(tolerance):
+    """An offset along e_u turns over at a pole; the curvature of a chart with `fmax` jumps."""
+    push = [cs.ObjectRateOffset(0, 0.1, 0.9, (0.1, 0.0))]
+    edge = cs.ParametricSurface(("u", "v", "0.5*u + 2*fmax(u, 0)**2"), size=0.1)
+    length = lambda s: (s * np.hypot(1, s) + np.arcsinh(s)) / 8  # noqa: E731
+    for u in np.linspace(0.5, 1, 60):
+        over = alone(cs.Sphere(0.1), (u, 0), (0.2,), finger_velocity=(-1, 0), disturbances=push)
+        x, _, z = cs.plan(over, tolerance).points(1.0)[0, 0, 1]
+        met = 0.1 + (u - 0.2) / 1.9
+        assert np.arctan2(-x, z) == pytest.approx(2.1 * (0.9 - met) + 0.2, abs=tolerance)
+        begin = 0.14 * u - 0.2
+        along = alone(edge, (begin, 0), (0.22,), finger_velocity=(1, 0))
+        x = cs.plan(along, tolerance).points(1.0)[0, 0, 1, 0]
+        gone = length(0.5 + 4 * x) - length(0.5) - begin * np.hypot(1, 0.5)
+        assert gone == pytest.approx(0.22, abs=0.1 * tolerance)
 
 
 @pytest.mark.filterwarnings("error")

@@ -220,15 +220,8 @@ def has_states(plan: cs.Plan, t: float) -> bool:
 def test_states_at_a_pole_are_those_of_one_side_or_the_other():
     # North along a meridian at 0.1 m/s on a radius of 0.1 m: u = u0 - t, but for rounding.
     u0 = 0.7
-    scene = one_contact(
-        "sphere",
-        "plane",
-        angle=0.0,
-        object_at=(u0, 0.0),
-        profile=(0.1,),
-        finger_velocity=(-1.0, 0.0),
-        object_velocity="rolling",
-    )
+    start = {"angle": 0.0, "object_at": (u0, 0.0), "finger_velocity": (-1.0, 0.0)}
+    scene = one_contact("sphere", "plane", profile=(0.1,), object_velocity="rolling", **start)
     plan = cs.plan(scene)
     t = u0 + np.arange(-40, 41) * np.spacing(u0)
     x = plan.points(t)[:, 0, 1]

@@ -105,6 +105,21 @@ static void follow_finger(work_t *w, const motion_t *m, const double *t, nodes_t
       fill_lanes(at->w2[a], m->w[a]);
 }
 
+/* What is known at times t: all but `inverse` and `allowed` */
+static void look_ahead(work_t *w, const motion_t *m, const double *t, nodes_t *at) {
+  if (m->by_length)
+    fill_lanes(at->sigma, 1.0);
+  else
+    horners(m->drive->sigma, m->drive->n_sigma, t, at->sigma);
+  if (m->slip > 0)
+    decays(m->drive, t, at->sigma, at->decay);
+  else
+    fill_lanes(at->decay, 0.0);
+  if (!has_v(m)) return;
+  follow_finger(w, m, t, at);
+  for (int i = 0; i < L; i++) at->lam[i] = gain_at(m->drive, t[i]);
+}
+
 static unit_t *motion_table(work_t *w, const motion_t *m) {
   return table_of(w, m->side, m->ambient, m->ambient ? A_MOTION : C_MOTION, m->body);
 }
@@ -303,6 +318,46 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
   return back > 1e-13 ? fmax(error, 0.1 * back) : error;
 }
 
+/* Whether rates may jump: where what disturbs in chart components meets a pole, of the finger as
+   well, or where a user's chart has a kink */
+static int may_jump(const motion_t *m) {
+  if (!m->body) return 0;
+  if (m->finger && m->finger->ambient && any(m->finger->push)) return 1;
+  return m->ambient ? any(m->offset) || any(m->push) : m->body->surface->flags & MAY_BE_SINGULAR;
+}
+
+/* The error of a panel whose rates, f at the nodes, or their slope may jump in it. A jump between
+   nodes makes series that fall like 1/k^2 or 1/k^3, and errors 27 to 190 times what their tails
+   tell. One between an end and its node is seen by the rates at the ends alone, and a refused panel
+   shrinks until it is there. */
+static double jump_error(work_t *w, const motion_t *m, double tau, double half, lanes_t f,
+                         const double *series, const double *end, double error) {
+  double expected[2][MAX_STATES], t[L], x[MAX_STATES][L], rows_f[MAX_STATES][L];
+  double middle = 0.0, last = 0.0, jump = 0.0;
+  for (int64_t r = 0; r < m->n; r++) {
+    const double *o = series + r * TERMS;
+    middle += (fabs(o[L / 2]) + fabs(o[L / 2 - 1])) * m->scale[r];
+    last += (fabs(o[L]) + fabs(o[L - 1])) * m->scale[r];
+    double back[L];
+    for (int i = 0; i < L; i++) back[i] = f[r][L - 1 - i];
+    expected[0][r] = dot(gauss_last, back), expected[1][r] = dot(gauss_last, f[r]);
+    fill_lanes(x[r], end[r]), x[r][0] = m->state[r];
+  }
+  fill_lanes(t, tau + 2.0 * half), t[0] = tau;
+  nodes_t at;
+  look_ahead(w, m, t, &at);
+  lanes_t in = x;
+  if (!m->forced) copy_rows(in = motion_table(w, m)->r, x, (int)m->n);
+  const lanes_t found = rates(w, m, &at, in, rows_f);
+  for (int64_t r = 0; r < m->n; r++)
+    for (int i = 0; i < 2; i++) {
+      const double damped = has_v(m) && r >= m->n - 2 ? at.lam[i] * x[r][i] : 0.0;
+      jump = fmax(jump, fabs(found[r][i] - damped - expected[i][r]) * m->scale[r]);
+    }
+  if (last > 0.005 * middle) error *= 30.0;
+  return fmax(error, (1.0 + gauss_node[0]) * half * jump);
+}
+
 /* The error of a panel that no shorter one is without: rounding of L(tau), whose terms may cancel */
 static double rounding(const motion_t *m, const nodes_t *at, double half, double after) {
   const drive_t *d = m->drive;
@@ -325,20 +380,9 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
   lanes_t f = rows_f, x = m->body && !m->forced ? motion_table(w, m)->r : rows_x;
   nodes_t at;
   for (int i = 0; i < L; i++) t[i] = tau + half * (1.0 + gauss_node[i]);
-  if (m->by_length)
-    fill_lanes(at.sigma, 1.0);
-  else
-    horners(m->drive->sigma, m->drive->n_sigma, t, at.sigma);
-  if (m->slip > 0)
-    decays(m->drive, t, at.sigma, at.decay);
-  else
-    fill_lanes(at.decay, 0.0);
+  look_ahead(w, m, t, &at);
   at.allowed = fmax(m->tolerance, rounding(m, &at, half, after));
-  if (has_v(m)) {
-    follow_finger(w, m, t, &at);
-    for (int i = 0; i < L; i++) at.lam[i] = gain_at(m->drive, t[i]);
-    invert_implicit(at.lam, half, at.inverse);
-  }
+  if (has_v(m)) invert_implicit(at.lam, half, at.inverse);
   /* sweeps start from the last panel's series (28 % fewer of them), or from that of the longer panel
      that was refused */
   if (s->before && span <= (s->begins ? 1.0 : 2.0) * s->span)
@@ -350,7 +394,9 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
     s->h = 0.35 * span;
     return 0;
   }
-  const double error = close_panel(w, m, half, x, f, out, end);
+  double error = close_panel(w, m, half, x, f, out, end);
+  if (error <= at.allowed && may_jump(m))
+    error = jump_error(w, m, tau, half, f, out, end, error);
   /* an error below 1e-30 says no more than one of 1e-30; where a panel is too long, errors fall
      faster with its length than at order L */
   const int fits = error <= at.allowed;
