@@ -40,6 +40,7 @@ SCENES |= {
     ),
     "guaranteed legs": R1.replace(contacts=[SLIPPING], gain=cs.Gain.guaranteed(1.0)),
     "dip": K1.replace(profile=cs.Profile([0.3, -0.84, 2.0, -4 / 3]), gain=cs.Gain.guaranteed(8.0)),
+    "touch": K1.replace(profile=cs.Profile([0.25, -1.0, 1.0]), gain=cs.Gain.guaranteed(5.0)),
     "edges of one time": K1.replace(  # but for rounding
         disturbances=[
             cs.ObjectRateOffset(*w, (0.3, 0.1)) for w in ((0, 0.1, 0.3), (1, 0, 0.1 + 0.2))
@@ -111,7 +112,7 @@ def test_paths_close_to_umbilics_stay_on_their_branch(scene, step):
 @pytest.mark.parametrize(
     ("name", "version"),
     [
-        *(("K2", "2.0"), ("K4", "3.0"), ("C1", "2.0"), ("rest", "2.0")),
+        *(("K2", "2.0"), ("K4", "3.0"), ("C1", "2.0"), ("rest", "2.0"), ("touch", "3.0")),
         *(("short legs", "2.0"), ("short legs", "3.0")),
         *(("legs", "3.0"), ("guaranteed legs", "2.0"), ("edges of one time", "2.0")),
     ],

@@ -39,11 +39,24 @@ static void load_system(component_t *c, long i, int again) {
   k->prepared = !again;
 }
 
+/* States without slip, or its rates */
+static void no_slip(const layout_t *l, double *x) { x[l->states - 2] = x[l->states - 1] = 0.0; }
+
+/* Whether slip's rates are infinite, by a law that makes up for growth alone: solvers look at a
+   rest in mid-motion before slip is left behind there. */
+static int rests_in_motion(const component_t *c, long i) {
+  double w[DISTURBANCES];
+  acting_on(c, i, w);
+  return leaves_slip_behind(c, i) && w[0] == 0.0 && w[1] == 0.0 && w[2] == 0.0 && w[3] == 0.0;
+}
+
 /* The results of contact i at its states */
 static const double *run_system(component_t *c, long i) {
   const table_t *t = system_of(c->model, i);
   UNTRAPPED(load_system(c, i, 0); c->engine->step(&(program_t){t->body, c->live[i].registers}));
-  return c->live[i].registers + t->first_out;
+  double *found = c->live[i].registers + t->first_out;
+  if (rests_in_motion(c, i)) no_slip(c->model->layout + i, found);
+  return found;
 }
 
 static void find_system(component_t *c, long i) {
@@ -53,9 +66,6 @@ static void find_system(component_t *c, long i) {
   c->live[i].theta = found[n_results(l)];
   for (long j = l->at[OF_RATES]; j < l->at[GROUPS] && past_end(c); j++) c->value[j] = NAN;
 }
-
-/* States without slip */
-static void no_slip(const layout_t *l, double *x) { x[l->states - 2] = x[l->states - 1] = 0.0; }
 
 /* The path turns where a leg begins. What slips goes on slipping, but behind a rest under a law
    that makes up for growth. */
