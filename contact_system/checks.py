@@ -39,7 +39,7 @@ def within(
     most = getattr(limits, limit)
     if count > most:
         raise error(
-            f"{what}: {min(count, 1e300):.15g}, and the limit is {most:.15g}; make it smaller, or "
+            f"{what}: {min(count, 1e300):.15g}, and the limit is {most:.15g}; ask for less, or "
             f"set contact_system.limits.{limit} higher"
         )
 

@@ -412,8 +412,8 @@ def without_chart(scene: Scene) -> str:
     zeros = scene.profile.zeros(scene.duration)
     if zeros:
         return (
-            f": the chart equations divide by sigma, which is zero at t = {zeros[0]:g} s, and "
-            "frames start and rest at zero"
+            f": the chart equations divide by sigma, which is zero at t = {zeros[0]:g} s; "
+            "moving frames, the default, do not"
         )
     return ""
 

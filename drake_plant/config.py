@@ -78,6 +78,10 @@ class Push:
                 f"on = {self.on!r}{did_you_mean(str(self.on), names)}: give one of "
                 f"{', '.join(names)}"
             )
+        if names.count(self.on) > 1:
+            raise SceneError(
+                f"on = {self.on!r} names {names.count(self.on)} bodies: rename contacts"
+            )
         for key in ("start", "stop"):
             finite_number(getattr(self, key), key, "not below 0")
         if not self.start < self.stop:

@@ -25,7 +25,7 @@ from fmpy.simulation import (
 )
 
 from contact_system.archives import opened, unpack
-from contact_system.checks import did_you_mean
+from contact_system.checks import a_path, did_you_mean
 from contact_system.errors import ContactSystemError
 
 from .fmu_contents import PortVariables, carried, library_of, read_description
@@ -98,7 +98,7 @@ class Instance:
         self._start_values: Mapping[str, Any] = {}
         self._outputs: list[PortVariables] = []
         self._made_folder: str | None = None
-        self._path = path = Path(fmu)
+        self._path = path = a_path(fmu, "FmuSystem: fmu")
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
             self._folder = self._unpacked(path)

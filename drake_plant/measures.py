@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from contact_system import Scene, plan
 from contact_system.measures import REJECTED, windows
 
+from .config import require_config
 from .contact_monitor import SATURATED
 from .simulation import CONTINUOUS, SimulationResult, simulate
 
@@ -215,6 +216,7 @@ def outcome(scene: Scene, duration: float | None = None) -> dict[str, Array]:
 
 def object_report(result: SimulationResult) -> ObjectReport:
     """How far the object moved and turned, and whether it falls."""
+    require_config(result, SimulationResult, "result")
     pushes = [push for push in result.config.pushes if push.on == "object"]
     poses, time = result.object_pose, result.t[-1] - result.t[0]
     path = poses[:, :3, 3] - poses[0, :3, 3]
@@ -233,6 +235,7 @@ def object_report(result: SimulationResult) -> ObjectReport:
 
 def push_table(result: SimulationResult) -> list[PushReport]:
     """What each push of a simulation did, in the order of time."""
+    require_config(result, SimulationResult, "result")
     pushes = sorted(result.config.pushes, key=lambda push: push.start)
     names = [result.scene.contact_name(i) for i in range(len(result.scene.contacts))]
     apart = np.linalg.norm(_misses(result), axis=2)
@@ -261,6 +264,7 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
     list of ContactReport
         In the scene's order.
     """
+    require_config(result, SimulationResult, "result")
     planned, t = plan(result.scene), result.t  # the plan knows the windows of every contact
     disturbed = [windows(planned, i) for i in range(len(result.scene.contacts))]
     pushes = [(push.start, push.stop) for push in result.config.pushes]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,8 @@ from contact_system.plots.curves import curve_of
 from contact_system.plots.meshes import mesh_of
 from contact_system.plots.style import DISTURBED, INK, RECOVERY, colour_of
 
-if TYPE_CHECKING:
-    from .simulation import SimulationResult
+from .config import require_config
+from .simulation import SimulationResult
 
 Array = NDArray[np.float64]
 
@@ -57,6 +57,7 @@ def plot(
     MissingMatplotlib
         If it is not installed.
     """
+    require_config(result, SimulationResult, "result")
     planned = plan(result.scene)
     with Picture(path, (13, 9), dpi) as figure:
         left, right = figure.subfigures(1, 2, width_ratios=(1, 1.15))

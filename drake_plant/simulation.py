@@ -178,8 +178,8 @@ def simulate(
         recording = a_path(recording, f"{scene.title}: recording")
         if not recording.parent.is_dir() or recording.is_dir() or recording.suffix != ".html":
             raise SceneError(
-                f"{scene.title}: recording = {str(recording)!r}: give a path in a folder that "
-                "exists, such as 'film.html'"
+                f"{scene.title}: recording = {str(recording)!r}: give a path that ends in "
+                "'.html', in a folder that exists"
             )
         from .recording import Recording
 

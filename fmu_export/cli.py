@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from contact_system import load_scene
+from contact_system import ContactSystemError, load_scene
 from contact_system.cli import file_name
 from contact_system.terminal import Progress, paragraph
 
@@ -57,6 +57,8 @@ def register(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Export, tell; returns the exit code."""
     scene, began = load_scene(args.scene), time.monotonic()
+    if args.check and "CoSimulation" not in args.interfaces:
+        raise ContactSystemError("--check runs Co-Simulation: add it to --interfaces")
     path = args.out or Path(f"{file_name(scene)}.fmu")
     with Progress(1 + len(args.platforms), "writing the sources") as progress:
         chosen = (args.fmi, args.interfaces, args.platforms, progress.step)

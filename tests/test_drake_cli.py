@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("pydrake")
 
 import contact_system as cs
-from drake_plant import StationConfig, cli, contact_table, simulate
+from drake_plant import SimulationResult, StationConfig, cli, contact_table, simulate
 from drake_plant.measures import contact_speed, time_off
 
 T = np.linspace(0.0, 4.0, 4001)
@@ -42,10 +42,8 @@ def made_up(slip: np.ndarray, friction: np.ndarray, normal: np.ndarray | float =
         "tangential_force": friction[:, None, None] * along,
         "contact_point": points + [0.0, 3e-4, 0.0],
     }
-    config = StationConfig(contact_model="point")
-    told = {"scene": scene, "config": config, "t": T}
-    told |= {"planned": planned, "measured": measured}
-    return SimpleNamespace(**told, object_pose=np.tile(np.eye(4), (len(T), 1, 1)))
+    config, poses = StationConfig(contact_model="point"), np.tile(np.eye(4), (len(T), 1, 1))
+    return SimulationResult(scene, config, T, planned, measured, poses, 0.0, 0.0)
 
 
 def decaying(rate: float) -> np.ndarray:
@@ -92,7 +90,7 @@ def test_slip_need_not_fall_below_what_it_was_before():
 def test_a_disturbance_between_two_samples_is_seen_in_the_next():
     result = made_up(decaying(40.0), np.zeros(len(T)))
     short = dataclasses.replace(result.scene.disturbances[0], start=0.1002, stop=0.1007)
-    result.scene = result.scene.replace(disturbances=[short])
+    result = dataclasses.replace(result, scene=result.scene.replace(disturbances=[short]))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         finger = contact_table(result)[0]

@@ -63,7 +63,7 @@ def reach(
     goal : Goal, or a sequence of Goal or None
         One for each contact; None: it stays at rest.
     legs : int, optional
-        Number of legs, 1 to 4; default: the least number that reaches the goal.
+        Number of legs, 1 to 4; default: the first number that is found to reach the goal.
     longest : float, optional
         Greatest length of a leg, m.
     seconds : float

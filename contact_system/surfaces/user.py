@@ -206,7 +206,6 @@ class ParametricSurface(UserSurface):
         return self.formula(numbers[1:], u, numbers[0] * v)
 
     def _require_regular(self, u: Array, v: Array) -> None:
-        super()._require_regular(u, v)
         with np.errstate(all="ignore"):  # the derivatives may exist where f does not: log(u)
             missing = ~np.isfinite(self.point(u, v)).all(axis=-1)
         if np.any(missing):
@@ -214,6 +213,7 @@ class ParametricSurface(UserSurface):
                 f"{self!r}: the formula has no point at (u, v) = "
                 f"({float(u[missing][0])}, {float(v[missing][0])}); move the contact"
             )
+        super()._require_regular(u, v)
 
     def _wrap(self, u: Any, v: Any) -> tuple[Any, Any]:
         return _into(u, self.u_range, self.u_period), _into(v, self.v_range, self.v_period)
