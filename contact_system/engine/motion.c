@@ -7,6 +7,7 @@
 
 static const double COARSE = 1e-6;   /* tolerance beyond which tails tell nothing of errors */
 static const double TAIL = 3.6;      /* times a series' last coefficient is taken for its error */
+static const double KINKED = 30.0;   /* times more where a series has a kink; 27 where rates jump */
 static const double STEEPEST = 20.0; /* fall of ln(decay) in a panel; 30 takes 3 % more sweeps */
 static const double FALL = 4.5;      /* the same in a first panel at a tolerance of 1e-12 */
 enum { SWEEPS = 40 };
@@ -106,7 +107,7 @@ static void follow_finger(work_t *w, const motion_t *m, const double *t, nodes_t
 }
 
 /* What is known at times t: all but `inverse` and `allowed` */
-static void look_ahead(work_t *w, const motion_t *m, const double *t, nodes_t *at) {
+static void fill_nodes(work_t *w, const motion_t *m, const double *t, nodes_t *at) {
   if (m->by_length)
     fill_lanes(at->sigma, 1.0);
   else
@@ -326,18 +327,24 @@ static int may_jump(const motion_t *m) {
   return m->ambient ? any(m->offset) || any(m->push) : m->body->surface->flags & MAY_BE_SINGULAR;
 }
 
-/* The error of a panel whose rates, f at the nodes, or their slope may jump in it. A jump between
-   nodes makes series that fall like 1/k^2 or 1/k^3, and errors 27 to 190 times what their tails
-   tell. One between an end and its node is seen by the rates at the ends alone, and a refused panel
-   shrinks until it is there. */
-static double jump_error(work_t *w, const motion_t *m, double tau, double half, lanes_t f,
-                         const double *series, const double *end, double error) {
-  double expected[2][MAX_STATES], t[L], x[MAX_STATES][L], rows_f[MAX_STATES][L];
-  double middle = 0.0, last = 0.0, jump = 0.0;
+/* Whether a panel's series fall like 1/k^2 or 1/k^3: its rates, or their slope, jump between nodes */
+static int has_kink(const motion_t *m, const double *series) {
+  double middle = 0.0, last = 0.0;
   for (int64_t r = 0; r < m->n; r++) {
     const double *o = series + r * TERMS;
     middle += (fabs(o[L / 2]) + fabs(o[L / 2 - 1])) * m->scale[r];
     last += (fabs(o[L]) + fabs(o[L - 1])) * m->scale[r];
+  }
+  return last > 0.005 * middle;
+}
+
+/* The error by a jump of the rates, f at the nodes, between an end of a panel and the node next to
+   it, which only the rates at the end tell of. A panel that is refused for a jump shrinks until the
+   jump is there. */
+static double error_at_ends(work_t *w, const motion_t *m, double tau, double half, lanes_t f,
+                            const double *end) {
+  double expected[2][MAX_STATES], t[L], x[MAX_STATES][L], rows_f[MAX_STATES][L], jump = 0.0;
+  for (int64_t r = 0; r < m->n; r++) {
     double back[L];
     for (int i = 0; i < L; i++) back[i] = f[r][L - 1 - i];
     expected[0][r] = dot(gauss_last, back), expected[1][r] = dot(gauss_last, f[r]);
@@ -345,7 +352,7 @@ static double jump_error(work_t *w, const motion_t *m, double tau, double half, 
   }
   fill_lanes(t, tau + 2.0 * half), t[0] = tau;
   nodes_t at;
-  look_ahead(w, m, t, &at);
+  fill_nodes(w, m, t, &at);
   lanes_t in = x;
   if (!m->forced) copy_rows(in = motion_table(w, m)->r, x, (int)m->n);
   const lanes_t found = rates(w, m, &at, in, rows_f);
@@ -354,8 +361,7 @@ static double jump_error(work_t *w, const motion_t *m, double tau, double half, 
       const double damped = has_v(m) && r >= m->n - 2 ? at.lam[i] * x[r][i] : 0.0;
       jump = fmax(jump, fabs(found[r][i] - damped - expected[i][r]) * m->scale[r]);
     }
-  if (last > 0.005 * middle) error *= 30.0;
-  return fmax(error, (1.0 + gauss_node[0]) * half * jump);
+  return (1.0 + gauss_node[0]) * half * jump;
 }
 
 /* The error of a panel that no shorter one is without: rounding of L(tau), whose terms may cancel */
@@ -380,7 +386,7 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
   lanes_t f = rows_f, x = m->body && !m->forced ? motion_table(w, m)->r : rows_x;
   nodes_t at;
   for (int i = 0; i < L; i++) t[i] = tau + half * (1.0 + gauss_node[i]);
-  look_ahead(w, m, t, &at);
+  fill_nodes(w, m, t, &at);
   at.allowed = fmax(m->tolerance, rounding(m, &at, half, after));
   if (has_v(m)) invert_implicit(at.lam, half, at.inverse);
   /* sweeps start from the last panel's series (28 % fewer of them), or from that of the longer panel
@@ -395,8 +401,10 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
     return 0;
   }
   double error = close_panel(w, m, half, x, f, out, end);
-  if (error <= at.allowed && may_jump(m))
-    error = jump_error(w, m, tau, half, f, out, end, error);
+  if (error <= at.allowed && may_jump(m)) {
+    if (has_kink(m, out)) error *= KINKED;
+    error = fmax(error, error_at_ends(w, m, tau, half, f, end));
+  }
   /* an error below 1e-30 says no more than one of 1e-30; where a panel is too long, errors fall
      faster with its length than at order L */
   const int fits = error <= at.allowed;

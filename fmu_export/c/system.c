@@ -42,12 +42,13 @@ static void load_system(component_t *c, long i, int again) {
 /* States without slip, or its rates */
 static void no_slip(const layout_t *l, double *x) { x[l->states - 2] = x[l->states - 1] = 0.0; }
 
-/* Whether slip's rates are infinite, by a law that makes up for growth alone: solvers look at a
-   rest in mid-motion before slip is left behind there. */
-static int rests_in_motion(const component_t *c, long i) {
+/* Whether slip's rates are infinite, and no acceleration is to blame. Solvers look at a rest in
+   mid-motion before slip is left behind there. */
+static int has_no_rate(const component_t *c, long i) {
+  if (!leaves_slip_behind(c, i)) return 0;
   double w[DISTURBANCES];
   acting_on(c, i, w);
-  return leaves_slip_behind(c, i) && w[0] == 0.0 && w[1] == 0.0 && w[2] == 0.0 && w[3] == 0.0;
+  return w[0] == 0.0 && w[1] == 0.0 && w[2] == 0.0 && w[3] == 0.0;
 }
 
 /* The results of contact i at its states */
@@ -55,7 +56,7 @@ static const double *run_system(component_t *c, long i) {
   const table_t *t = system_of(c->model, i);
   UNTRAPPED(load_system(c, i, 0); c->engine->step(&(program_t){t->body, c->live[i].registers}));
   double *found = c->live[i].registers + t->first_out;
-  if (rests_in_motion(c, i)) no_slip(c->model->layout + i, found);
+  if (has_no_rate(c, i)) no_slip(c->model->layout + i, found);
   return found;
 }
 
