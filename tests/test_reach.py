@@ -129,7 +129,8 @@ def test_a_sphere_on_a_plane_never_takes_longer_than_four_rolls():
 
 LOOPS = [(*pair[:2], 0.7, "rolling") for pair in PAIRS.values()]
 LOOPS += [(cs.Ellipsoid(0.3, 0.2, 0.05), cs.Plane(), 0.7, "rolling")]
-LOOPS += [(SMALL, cs.Plane(), 1e-4, "rolling"), (*ELLIPSOID, 0.7, (0.5, -0.8))]
+LOOPS += [(SMALL, cs.Plane(), 1e-4, "rolling"), (cs.Sphere(3e-4), cs.Sphere(1.0), 0.7, "rolling")]
+LOOPS += [(*ELLIPSOID, 0.7, (0.5, -0.8))]
 
 
 @pytest.mark.parametrize("finger, obj, angle, velocity", LOOPS)

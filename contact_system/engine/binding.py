@@ -85,7 +85,6 @@ class Steered(Structure):
         *((name, c_double) for name in ("gauss", "bend")),
         ("start", c_double * 9),
         *((name, c_double * 3) for name in ("place", "goal")),
-        ("size", c_double),
         ("within", c_double * 4),
         ("wanted", c_int64),
     ]

@@ -177,22 +177,23 @@ typedef struct {
   const table_t *shape;      /* A_SHAPE or C_SHAPE; */
   double gauss, bend;        /* else Gauss' curvature, 1/m^2, and that along each line, 1/m */
   double start[9], place[3]; /* x p q, the contact frame; u v theta */
-  double goal[3], size;
+  double goal[3];
   double within[4]; /* a point and the radius that the path is to stay within; 0: none */
   int64_t wanted;   /* whether `goal` is */
 } steered_t;
 
 /* where a contact is to go, and from where: see steer.c */
 typedef struct {
-  steered_t body[2]; /* finger and object */
-  double psi;        /* at the start */
-  double lean, pace; /* angle and length of the path velocity that directions count from */
-  double unit;       /* length that a step may change a leg's by, along s */
-  double turn[9], origin[3], size; /* the finger's pose at the goal */
-  double longest;                  /* of a leg, along s; 0: any */
-  double tolerance, reached;       /* of the steps, of the goal, in sizes */
-  int64_t turns, is_pose;          /* whether rotation and origin count */
-  int64_t parts, steps;            /* of a leg, looked at for `within`; trials */
+  steered_t body[2];         /* finger and object */
+  double psi;                /* at the start */
+  double lean, pace;         /* angle and length of the path velocity that directions count from */
+  double unit;               /* length that a step may change a leg's by, along s */
+  double turn[9], origin[3]; /* the finger's pose at the goal */
+  double size;               /* unit of what places and origin are off; the angles' is 1 rad */
+  double longest;            /* of a leg, along s; 0: any */
+  double tolerance, reached; /* of the steps, of the goal, in sizes */
+  int64_t turns, is_pose;    /* whether rotation and origin count */
+  int64_t parts, steps;      /* of a leg, looked at for `within`; trials */
 } steer_t;
 
 typedef struct {

@@ -167,7 +167,7 @@ static void roll(search_t *w, int side) {
 static void arrive_at_place(search_t *w, int side) {
   const rolled_t *r = w->rolled + side;
   const steered_t *body = r->body;
-  const double unit = 1.0 / body->size;
+  const double unit = 1.0 / w->aim->size;
   by_unknown_t slope;
   double off[3][L];
   SIMD for (int l = 0; l < L; l++) {

@@ -39,7 +39,7 @@ class Paths(NamedTuple):
     z: Array
     """(2 n, 16)"""
     off: Array
-    """Distance of their ends from the goal, in sizes and rad, (16)."""
+    """Distance of their ends from the goal, in sizes of the smaller body and rad, (16)."""
     ends: Array
     """x, p, q of finger and object at the ends, p along the path, (18, 16)."""
     squares: Array
@@ -77,7 +77,7 @@ class Aim:
     pace, lean : float
         Length and angle of ``finger_velocity``.
     sizes : list of float
-        Sizes of the bodies, m.
+        Sizes of the bodies, m; of a plane that of the other body.
     unit, far : float
         A typical length; straight distance of the goal, of a pose that of its origin: along s, m.
     """
@@ -95,7 +95,8 @@ class Aim:
         self.regions = self._regions(goal)
         w: Any = self.contact.finger_velocity
         self.pace, self.lean = math.hypot(*w), math.atan2(w[1], w[0])
-        self.sizes = [body.size for body in self.bodies]
+        sizes = {body.size for body in self.bodies if not is_plane(body)} or {1.0}
+        self.sizes = [min(sizes) if is_plane(body) else body.size for body in self.bodies]
         away = [math.dist(self.start[side][0], self.goal[side][0]) for side in self.sides]
         if goal.pose is not None:
             away = [math.dist(pose[:3, 3], goal.pose[:3, 3])]
@@ -216,8 +217,8 @@ class Aim:
             lean=self.lean,
             pace=self.pace,
             unit=self.unit,
-            size=min(self.sizes),  # a greater one weighs the origin too little
-            longest=longest or 0.0,
+            size=min(self.sizes),  # a greater one weighs places too little beside angles
+            longest=(1 - 1e-10) * (longest or 0.0),  # which paths meet to 1e-12 or so
             turns=self.pose is not None,
             is_pose=self.is_pose,
             parts=PARTS if self.regions else 1,
@@ -233,7 +234,7 @@ class Aim:
 
     def _body(self, side: int) -> Steered:
         body = self.bodies[side]
-        data = Steered(size=body.size, wanted=side in self.sides)
+        data = Steered(wanted=side in self.sides)
         data.goal[:] = self.goal[side][0].tolist()
         if body.great_circles:
             data.gauss, data.bend = body.size**-2, body.sign / body.size
