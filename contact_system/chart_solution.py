@@ -61,8 +61,13 @@ class ChartMotion:
             ]
         return self._contacts
 
-    def evaluate(self, t: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray] | None:
-        """Results, (n_times, n_contacts, ...); None if a time is outside the plan."""
+    def evaluate(
+        self, t: np.ndarray, names: Sequence[str], gaps: bool = False
+    ) -> dict[str, np.ndarray] | None:
+        """Results, (n_times, n_contacts, ...); None if a time is outside the plan.
+
+        Paths end before singular points, so there are no ``gaps``.
+        """
         scene, _, begin, _ = self._arguments
         if not ((t >= begin) & (t <= scene.duration)).all():
             return None

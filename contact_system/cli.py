@@ -32,7 +32,6 @@ from .measures import (
     Rejection,
     great_circle_distance,
     is_dynamic,
-    regular_times,
     rejections,
     relative_curvature,
 )
@@ -283,7 +282,7 @@ def file_name(scene: Scene) -> str:
 def _write(args: argparse.Namespace, stem: Path, shown: Plan, other: Plan | None = None) -> None:
     """Write and draw the results; print a line for each file, and one for times left out."""
     times = shown.sample_times()
-    regular = regular_times(shown, times)
+    regular = shown.regular_times(times)
     singular = np.setdiff1d(times, regular).tolist()
     lines = []
     if singular:
@@ -388,7 +387,7 @@ def _great_circles(plan: Plan) -> Iterable[str]:
 
 def _overlaps(plan: Plan) -> Iterable[str]:
     """Contacts whose bodies overlap beside the contact point, which a plan does not look at."""
-    t = regular_times(plan, plan.sample_times())
+    t = plan.regular_times(plan.sample_times())
     least = np.linalg.eigvalsh(relative_curvature(plan, t))[..., 0]
     for i, contact in enumerate(plan.scene.contacts):
         found = np.flatnonzero(least[:, i] < -CONFORMS / contact.finger.size)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import shaped_array
-from .errors import ChartSingularity, ContactSystemError
+from .errors import ContactSystemError
 from .plan import Plan, require_plan
 from .scene import STILL, Scene
 from .theory import equations
@@ -35,20 +35,6 @@ def windows(plan: Plan, contact: int) -> list[tuple[float, float]]:
             start, stop = joined[-1][0], max(joined.pop()[1], stop)
         joined.append((start, stop))
     return joined
-
-
-def regular_times(plan: Plan, t: np.ndarray) -> np.ndarray:
-    """The times, s, without those at which a contact is at a pole or an umbilic: (m,).
-
-    At those :meth:`Plan.states` does not exist.
-    """
-    try:
-        plan.states(t)
-    except ChartSingularity:
-        if len(t) == 1:
-            return t[:0]
-        return np.concatenate([regular_times(plan, t[k : k + 1]) for k in range(len(t))])
-    return t
 
 
 def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, np.ndarray]:
@@ -245,13 +231,13 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
     time[last == len(t) - 1] = np.inf
     time[last < 0] = 0.0
     time[level == 0] = np.nan
-    ends = np.array([plan.end, plan.end - 1e-8 * (plan.end - plan.start)])
+    before, end = plan.states([plan.end - 1e-8 * (plan.end - plan.start), plan.end], gaps=True)
     return {
         "slip_start": slip[0],
         "slip_peak": slip.max(axis=0),
         "slip_end": slip[-1],
         "recovery": time,
-        "state_end": plan.states(regular_times(plan, ends)[0])[0],
+        "state_end": np.where(np.isnan(end), before, end),
     }
 
 

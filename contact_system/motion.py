@@ -18,7 +18,7 @@ import numpy as np
 from . import limits
 from .engine import binding
 from .engine.binding import LAYOUT, address
-from .explanation import failed, lines
+from .explanation import SINGULAR_TIME, failed, lines
 from .scene import Disturbance, Leg, Scene, Stretch, refuse_rest
 from .starts import Moment, Starts
 from .surfaces import Surface
@@ -238,8 +238,13 @@ class Motion:
 
     __del__ = binding.drop
 
-    def evaluate(self, t: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray] | None:
-        """Results, (n_times, n_contacts, ...), in one pass; None if a time is outside the plan."""
+    def evaluate(
+        self, t: np.ndarray, names: Sequence[str], gaps: bool = False
+    ) -> dict[str, np.ndarray] | None:
+        """Results, (n_times, n_contacts, ...), in one pass; None if a time is outside the plan.
+
+        gaps: whether those of contacts at a pole or an umbilic are not finite, and no error.
+        """
         if not self._anchored and not IN_CONTACT_FRAMES.isdisjoint(names):
             self._anchor()
         t = np.ascontiguousarray(t)
@@ -256,7 +261,8 @@ class Motion:
         if n and binding.evaluate(self, n, address(t), ctypes.addressof(outputs), byref(failure)):
             if failure.code == _OUTSIDE:
                 return None
-            raise failed(self.scene, failure)
+            if not (gaps and failure.code == SINGULAR_TIME):
+                raise failed(self.scene, failure)
         return results
 
     def _anchor(self) -> None:

@@ -168,18 +168,22 @@ class Plan:
         results = self._motion.evaluate(times, names)
         return self._motion.evaluate(self._inside(times), names) if results is None else results
 
-    def states(self, t: ArrayLike) -> np.ndarray:
+    def states(self, t: ArrayLike, gaps: bool = False) -> np.ndarray:
         """u1 v1 u1' v1' u2 v2 u2' v2' psi: (len(t), n_contacts, 9); rad, or m where charts have it.
 
         Coordinates and psi are continuous along the path. Rates are those of the contact point,
-        object rate offsets included.
+        object rate offsets included. With ``gaps`` they are NaN where otherwise an error is raised.
 
         Raises
         ------
         ChartSingularity
             At a time when a contact passes through a pole or an umbilic.
         """
-        return self.evaluate(t, "states")["states"]
+        if not gaps:
+            return self.evaluate(t, "states")["states"]
+        states = self._motion.evaluate(self._times(t), ("states",), gaps=True)["states"]
+        states[~np.isfinite(states).all(axis=-1)] = np.nan
+        return states
 
     def points(self, t: ArrayLike) -> np.ndarray:
         """Contact point on finger and object, each in its body's frame: (len(t), n, 2, 3), m."""
@@ -365,15 +369,17 @@ class Plan:
         ----------
         path : path ending in .npz or .csv
         times : (n,), optional
-            Default: :meth:`sample_times`.
+            Default: :meth:`sample_times` that are :meth:`regular_times`.
 
         Raises
         ------
         ContactSystemError
             An unknown ending, or a file that cannot be written.
+        ChartSingularity
+            At one of ``times``, as :meth:`states`.
         """
         path = a_path(path)
-        t = self.sample_times() if times is None else self._times(times)
+        t = self.regular_times(self.sample_times()) if times is None else self._times(times)
         if path.suffix not in (".npz", ".csv"):
             raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .npz or .csv")
         with writing(path, f"{self.scene.title}: ") as file:
@@ -422,6 +428,11 @@ class Plan:
         edges = np.array([e for e in self.scene.edges if e >= self.start])
         same = (np.abs(grid[:, None] - edges) < 1e-9 * spacing).any(axis=1)
         return np.union1d(grid[~same], edges)
+
+    def regular_times(self, t: ArrayLike) -> np.ndarray:
+        """The times, s, without those at which :meth:`states` raises a ChartSingularity: (m,)."""
+        times = self._times(t)
+        return times[np.isfinite(self.states(times, gaps=True)).all(axis=(1, 2))]
 
     def _csv(self, t: np.ndarray) -> str:
         text = io.StringIO()

@@ -127,8 +127,6 @@ def test_a_sample_time_at_a_pole_is_left_out_of_the_files(tmp_path, capsys):
     push = cs.FingerAcceleration(contact=1, start=pole, stop=0.8, value=(0.5, 0.5))
     contacts = [rolls, cs.Contact(finger=cs.Sphere(0.04), object_at=(1.5, 1.0))]
     scene = cs.Scene(name="pole", contacts=contacts, disturbances=[push], **common)
-    with pytest.raises(cs.ChartSingularity):
-        cs.plan(scene).save(tmp_path / "refused.npz")
     cs.save_scene(scene, tmp_path / "pole.toml")
 
     assert _run("run", tmp_path / "pole.toml", "--out", tmp_path) == 0
@@ -139,6 +137,7 @@ def test_a_sample_time_at_a_pole_is_left_out_of_the_files(tmp_path, capsys):
         times = cs.plan(scene).sample_times()
         assert np.array_equal(data["t"], times[times != pole])
         assert np.isfinite(data["states"]).all()
+    cs.plan(scene).save(tmp_path / "pole.csv")
     assert len((tmp_path / "pole.csv").read_text().splitlines()) == 1 + 2 * (len(times) - 1)
 
 

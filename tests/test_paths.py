@@ -276,8 +276,10 @@ def test_states_at_a_pole_are_refused():
         plan = cs.plan(rolled_over(cs.Sphere(0.1), 0.7, v=v))
         with pytest.raises(cs.ChartSingularity, match="contact 0: Sphere.*pole"):
             plan.states(0.7)
-    end = cs.sweep([plan.scene.replace(duration=0.7)]).table["state_end"][0]
-    assert end[4:6] == pytest.approx([0.0, v], abs=1e-6)  # of a moment before
+    scenes = [rolled_over(cs.Sphere(0.1), u, v=v).replace(duration=0.7) for u in (0.7, 0.7, 0.9)]
+    found = cs.sweep(scenes).table["state_end"]
+    assert found[1, 4:6] == pytest.approx([0.0, v], abs=1e-6)  # of a moment before
+    assert found[2] == pytest.approx(cs.plan(scenes[2]).states(0.7)[0, 0], abs=1e-12)
 
 
 @pytest.mark.parametrize("object_velocity", ["rolling", "rest"])

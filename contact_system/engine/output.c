@@ -355,23 +355,24 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t
     while (k + 1 < (n) && (items)[k + 1].start <= (t)) k++;                                        \
   } while (0)
 
-/* What stands at times without a frame, at a pole or an umbilic, is not finite. */
-static void require_finite(work_t *w, const contact_t *c, int64_t n, const double *t,
-                           double *const *out) {
+/* What stands at times without a frame, at a pole or an umbilic, is not finite. The first of them is
+   told; the other contacts are evaluated all the same. */
+static void tell_singular(work_t *w, const contact_t *c, int64_t n, const double *t,
+                          double *const *out) {
   static const int asked[] = {STATES, SLIP, ACCELERATION, CARRIED};
-  for (int a = 0; a < 4; a++) {
+  for (int a = 0; a < 4 && !w->failure->code; a++) {
     double sum = 0.0;
     const double *y = out[asked[a]];
     const int64_t size = y ? n * OUTPUT_ROWS[asked[a]] : 0;
     SIMD_SUM(sum) for (int64_t i = 0; i < size; i++) sum += 0.0 * y[i];
     if (sum == 0.0) continue;
     for (int64_t i = 0; i < size; i++) {
-      if (isfinite(y[i])) continue;
+      if (isfinite(y[i]) || w->failure->code) continue;
       const int64_t row = i / n;
       w->failure->contact = c - w->plan->contacts, w->failure->t = t[i % n];
       w->failure->side = asked[a] != STATES || (row >= 4 && row < 8);
       if (asked[a] == STATES && row == 8) w->failure->side = 0;
-      fail(w, SINGULAR_TIME);
+      w->failure->code = SINGULAR_TIME;
     }
   }
 }
@@ -420,7 +421,7 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
     put_block(w, c, &m, &to, needs, turned);
     i += count;
   }
-  require_finite(w, c, n, times, out);
+  tell_singular(w, c, n, times, out);
 }
 
 /* ---- branches, and where contacts have come to ---- */

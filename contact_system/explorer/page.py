@@ -20,7 +20,6 @@ import numpy as np
 
 from ..checks import make_folder
 from ..errors import ContactSystemError
-from ..measures import regular_times
 from ..plan import Plan, plan
 from ..plots import DECADES
 from ..plots.bodies import best_view
@@ -62,7 +61,7 @@ class Sampled:
 
     @classmethod
     def of(cls, planned: Plan) -> Sampled:
-        t = regular_times(planned, np.linspace(planned.start, planned.end, SAMPLES))
+        t = planned.regular_times(np.linspace(planned.start, planned.end, SAMPLES))
         results = planned.evaluate(t, "points", "pose", "slip_speed")
         return cls(planned, t, results["points"], results["pose"], results["slip_speed"])
 

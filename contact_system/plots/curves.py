@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..measures import regular_times, windows
+from ..measures import windows
 from ..plan import Plan
 from ..scene import STILL
 from .style import colour_of, number_of, shortened
@@ -44,7 +44,7 @@ def _add_legs(curve: Curve, plan: Plan, contact: int, side: int) -> None:
     way = [leg for leg in plan.scene.way(contact) if leg.profile != STILL]
     curve.legs = plan.points([(leg.start + leg.stop) / 2 for leg in way])[:, contact, side]
     ends = [plan.start, plan.end]
-    if len(regular_times(plan, np.array(ends))) < 2:
+    if len(plan.regular_times(ends)) < 2:
         return
     results = plan.evaluate(ends, "points", "states", "pose")
     finger, states = plan.scene.contacts[contact].finger, results["states"][:, contact]

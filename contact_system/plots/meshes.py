@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import ContactSystemError
-from ..measures import regular_times
 from ..plan import Plan
 from ..surfaces import Surface
 
@@ -99,7 +98,7 @@ def _span(
     if closed is not None:
         start, stop = closed
     else:
-        t = regular_times(plan, plan.sample_times())
+        t = plan.regular_times(plan.sample_times())
         results = plan.evaluate(t, "states", "points")
         q = results["states"][:, contacts, 4 * side : 4 * side + 2].reshape(-1, 2)
         reach = np.ptp(results["points"][:, contacts, side].reshape(-1, 3), axis=0).max()
