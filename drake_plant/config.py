@@ -42,7 +42,10 @@ NUMBERS = {
         *("time_step", "friction", "gravity", *GAINS, "slip_gain", "restart_distance"),
     ),
 }
-OPTIONAL = (*EDGES, "restart_period", "restart_distance")
+RESTARTS = ("restart_period", "restart_distance")
+OPTIONAL = (*EDGES, *RESTARTS)
+HANDS_ONLY = ("turn", "move")
+TIPS_ONLY = ("object_rate", "coordinates", "disturbance_input", *RESTARTS)  # that are free
 
 
 def require_config(config: Any, kind: type, name: str = "config") -> None:
@@ -278,6 +281,7 @@ class StationConfig:
             self._check_restarts()
         check_pushes(scene, self.pushes)
         self._check_way()
+        self._check_used()
         if self.hand is not None:
             self._check_hand(scene)
 
@@ -289,12 +293,25 @@ class StationConfig:
             if len(finite_numbers(vector, name)) != 3:
                 raise SceneError(f"{name} = {vector!r}: give three numbers")
 
+    def _check_used(self) -> None:
+        if self.hand is None:
+            which, keys = "without", [key for key in HANDS_ONLY if np.any(getattr(self, key))]
+        else:
+            default = StationConfig()
+            keys = [key for key in TIPS_ONLY if getattr(self, key) != getattr(default, key)]
+            which = "with"
+        if keys:
+            value = getattr(self, keys[0])
+            raise SceneError(f"{keys[0]} = {value!r}: it does nothing {which} a hand; leave it out")
+
     def _check_hand(self, scene: Scene) -> None:
         require_config(self.hand, Hand, "hand")
         assert self.hand is not None
         self.hand.check(len(scene.contacts))
         if self.object != "free" or not self.time_step:
             raise SceneError('hand: it needs object = "free" and a time_step above 0')
+        if self.forces == "constant":
+            raise SceneError('forces = "constant": with a hand they balance; leave it out')
 
     def _check_restarts(self) -> None:
         """Between two steps a discrete plant is at the end of the step already: a planner that

@@ -72,6 +72,7 @@ def test_fingers_of_six_joints_follow_routes_of_reach():
         ({"hand": {"tips": ["a"]}}, ["tips = .'a'.", "0 names"]),
         ({"hand": {"model": "none.sdf", "tips": ["a", "b", "c"]}}, ["model = 'none.sdf'"]),
         ({"turn": [[0, 30]]}, [r"turn\[0\] = \[0, 30\]"]),
+        ({"restart_period": 0.01}, ["restart_period = 0.01", "nothing with a hand"]),
     ],
 )
 def test_what_a_hand_cannot_do_is_refused_with_the_reason(changes, words):
