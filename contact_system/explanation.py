@@ -185,8 +185,8 @@ def _stuck(scene: Scene, name: str, failure: Failure) -> ContactSystemError:
 def _too_many_panels(scene: Scene, name: str, failure: Failure) -> ContactSystemError:
     why = _accelerated_at_rest(scene, failure) or (
         "shorten the scene, lower the speed, the acceleration or the surface's curvature, or give "
-        "a surface of your own a greater size; where a disturbance drives the contact into a pole "
-        "of its chart, end its window before"
+        "a surface of your own a greater size; where the path comes to a pole of its chart, or to "
+        "where a formula has no values, end the scene or the disturbance before"
     )
     return ContactSystemError(
         f"{name}: {failure.panels} panels reach {_reached(failure)} of "

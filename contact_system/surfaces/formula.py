@@ -86,6 +86,7 @@ def make_formula(formula: Any, parameters: Any, letters: str) -> Formula:
                 f"{formula!r} must be a function of symbols, or {count} text(s), one for each "
                 "component"
             )
+        text = [str(line) if type(line) in (int, float) else line for line in text]
         known = dict(zip(letters, ca.vertsplit(ca.vertcat(*arguments)))) | symbols
         value = ca.vertcat(*(ca.SX(parse(line, known)) for line in text))
     inputs = ca.vertcat(p, *arguments)
