@@ -515,7 +515,7 @@ def load(path: str | os.PathLike) -> Plan:
         The file cannot be read, is not such a plan, is damaged, or exceeds a limit of
         `contact_system.limits`.
     """
-    from .saved import checked_start, read_plan  # archives are slow to import
+    from .saved import read_plan, starts_of  # archives are slow to import
 
     path = a_path(path)
     if path.suffix == ".toml":
@@ -523,7 +523,8 @@ def load(path: str | os.PathLike) -> Plan:
     text, header = read_plan(path)
     scene = scene_from_toml(text, source=str(path))
     with naming(str(path)):
-        start, starts = checked_start(header, scene)
-        tolerance, method, solver = (header[key] for key in ("tolerance", "method", "solver"))
-        now = method != "chart"
+        tolerance, method, solver, start = (
+            header[key] for key in ("tolerance", "method", "solver", "start")
+        )
+        starts, now = starts_of(header), method != "chart"
         return Plan(scene, tolerance, method, solver, None, start, starts, now)

@@ -7,8 +7,6 @@ import copy
 import csv
 import dataclasses
 import functools
-import json
-import math
 import pickle
 from math import pi
 
@@ -19,7 +17,6 @@ from numpy.polynomial import polynomial
 from oracles.formulas import path_velocities, slip_of_states
 
 import contact_system as cs
-from contact_system.saved import digest
 
 PLACES = [0.0, 0.1, 0.2, 0.35, 0.5, 0.55, 0.8, 0.9]
 
@@ -282,46 +279,13 @@ def test_a_damaged_file_is_read_or_refused(tmp_path):
             cs.load(tmp_path / "plan.npz")
 
 
-def edited(path, plan, sealed=True, **changes):
-    """A saved plan with another header value, its digest made anew if it is to be sealed."""
-    plan.save(path, [plan.start])
-    with np.load(path) as data:
-        kept = dict(data)
-    header = json.loads(str(kept["plan"]))
-    for key, value in changes.items():
-        (header["starts"][0] if key in header["starts"][0] else header)[key] = value
-    kept["plan"] = json.dumps(header)
-    if sealed:
-        kept["digest"] = digest([str(kept["scene"]), str(kept["plan"])])
-    np.savez(path, **kept)
-
-
 def test_a_saved_plan_that_was_changed_is_refused(tmp_path):
-    plan = cs.plan(busy()).continued(0.45)
-    edited(tmp_path / "plan.npz", plan, sealed=False, tolerance=1e-3)
+    cs.plan(busy()).continued(0.45).save(tmp_path / "plan.npz", [0.45])
+    with np.load(tmp_path / "plan.npz") as data:
+        kept = dict(data)
+    np.savez(tmp_path / "plan.npz", **{**kept, "plan": str(kept["plan"]).replace("0.45", "0.4")})
     with pytest.raises(cs.ContactSystemError, match="plan.npz: not a plan .* changed since"):
         cs.load(tmp_path / "plan.npz")
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        *(("tolerance", x) for x in (None, "x", -1, math.nan)),
-        *(("method", x) for x in (None, [], "magic")),
-        *(("start", x) for x in (None, -1, math.nan, 1e9)),
-        *(("starts", x) for x in ([], {}, "x", [1])),
-        *(("object_at", x) for x in (None, [], [1, math.nan, 0])),
-        *(("object_frame", x) for x in ([], [1e9, 0, 0, 0, 0, 1], [0] * 6, [math.inf] * 6)),
-        *(("angle", x) for x in (None, [0], math.nan)),
-        ("slip", [1]),
-        ("unknown", 1),
-    ],
-)
-def test_restart_data_that_cannot_be_are_refused_by_file_and_key(tmp_path, key, value):
-    path = tmp_path / "plan.npz"
-    edited(path, cs.plan(busy()).continued(0.45), **{key: value})
-    with pytest.raises(cs.ContactSystemError, match=f"plan.npz.*{key}"):
-        cs.load(path)
 
 
 def test_a_saved_plan_unpacks_to_no_more_than_a_limit(tmp_path, monkeypatch):

@@ -156,7 +156,7 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
 static slip_t *add_slip(course_t *c, const drive_t *d) {
   slip_t *s = &c->c->slips[c->c->n_slips++];
   memset(s, 0, sizeof *s);
-  s->start = d->start, s->stop = d->stop, s->drive = d;
+  s->start = d->start, s->drive = d;
   memcpy(s->w1, c->w1, sizeof s->w1), memcpy(s->v, c->v, sizeof s->v);
   s->slips = any(c->v);
   return s;
@@ -333,7 +333,6 @@ static void begin(course_t *c) {
   memcpy(c->w1, row + K_W1, sizeof c->w1), memcpy(c->w2, found + 4, sizeof c->w2);
   memcpy(c->v, row[K_MOMENT] > 0 ? row + K_Y : found + 6, sizeof c->v);
   c->c->angle = row[K_ANGLE];
-  memcpy(c->c->w1, c->w1, sizeof c->w1);
   for (int side = 0; side < 2; side++) {
     const body_t *b = &c->c->body[side];
     memcpy(c->c->place[side], row + (side ? K_PLACE_2 : K_PLACE_1), sizeof c->c->place[side]);

@@ -61,9 +61,9 @@ typedef struct {
   double turn[3];             /* by which they differ a revolution later */
 } track_t;
 
-/* V on [start, stop]; slip is sigma V less the offset's part */
+/* V from start on; slip is sigma V less the offset's part */
 typedef struct {
-  double start, stop;
+  double start;
   const drive_t *drive;
   double v[2], w1[2], accelerations[4];
   int slips, forced, accelerated; /* forced: V is in panels */
@@ -72,7 +72,7 @@ typedef struct {
 
 typedef struct {
   body_t body[2];
-  double angle, r0[4], w1[2];
+  double angle, r0[4];
   double place[2][3]; /* u v theta where it begins */
   int64_t n_tracks[2], n_slips;
   track_t *tracks[2];
@@ -95,7 +95,6 @@ struct work {
   jmp_buf jump;
   failure_t *failure;
   plan_t *plan;
-  const contact_t *contact;
   unit_t body[2][2][N_CHART]; /* side, ambient or not, table */
   unit_t pair[N_CONTACT_TABLES];
   double *one; /* registers of tables that run at one point; so many */
