@@ -314,12 +314,13 @@ class StationConfig:
             raise SceneError('forces = "constant": with a hand they balance; leave it out')
 
     def _check_restarts(self) -> None:
-        """Between two steps a discrete plant is at the end of the step already: a planner that
-        restarts there is ahead of its time, by another part of a step each time."""
+        """Refuse restarts between two steps of a discrete plant, whose state is that of the step's
+        end by then: a planner that starts from it would be ahead, by another time at each restart.
+        """
         step, period = self.time_step, self.restart_period
         steps = (LOOK if period is None else period) / step
         whole = max(1, round(steps))
-        # A little early does no harm; a little late is a whole step ahead (but see EARLY).
+        # A restart a little before the step sees the right state; one after it, the next step's.
         if not -1e-6 < steps / whole - 1 < 1e-9:
             every = f" (None: {LOOK:g} s)" if period is None else ""
             raise SceneError(

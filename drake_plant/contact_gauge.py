@@ -1,15 +1,15 @@
 r"""One contact measured: where it is, its slip and its forces, from what Drake says of two bodies.
 
-Slip of a hydroelastic patch is the velocity at one point less its normal part, and the point
-decides: a fingertip that spins at 35 rad/s changes its tangential velocity by 0.35 mm/s every 10 um
-along the normal. Friction acts on every face along that face. Summed over a patch that follows the
-surface of the rigid object, with principal curvatures k and pressure falling off as a paraboloid,
-what the drop of the surface takes from the velocity is given back by the tilt of the faces, so that
-the mean is the velocity at the object's surface above the middle of the patch (but for
-spin times depth/6 times the difference between the two principal directions of k2/(k1 + k2), which
-is 0 on spheres).
-Measured on a sphere of 0.04 on one of 0.1, 58 faces, 0.2 mm deep, spinning at 35 rad/s, 30 random
-orientations: velocity read where the friction on the patch is zero [mm/s], steps of 0.1 ms
+Slip depends on the point of a hydroelastic patch at which the velocities of the bodies are
+compared: a fingertip that spins at 35 rad/s changes its tangential velocity by 0.35 mm/s every 10
+um along the normal. What is zero while a finger rolls is friction, which acts on every face along
+that face. The edge of a curved patch lies lower than its middle, which changes the velocity there,
+and its faces are tilted, which changes it back. So the mean over the faces, each along itself, is
+the velocity at the object's surface above the middle of the patch (exactly on spheres; else it
+differs by spin times depth/6 times the difference between the principal directions of k2/(k1 +
+k2), where k1 and k2 are the bodies' curvatures). Measured on a sphere of 0.04 on one of 0.1, 58
+faces, 0.2 mm deep, spinning at 35 rad/s, 30 random orientations: velocity read where the friction
+on the patch is zero [mm/s], steps of 0.1 ms
 
 ==========================================  ===============
 at the centroid of area                     -0.90 +- 0.13
@@ -18,17 +18,17 @@ at the object's surface                     +0.09 +- 0.13
 mean over faces, each along itself          +0.06 +- 0.13
 ==========================================  ===============
 
-so the third is what is used: it needs no face, only the poses of the two bodies. The rest is the
-facets of the meshes. In a plant of somebody's own the object may be compliant too: then the patch
-lies between the two surfaces, by how stiff they are, and slip is taken there.
+so velocities are compared at the object's surface: that needs no face, only the poses of the two
+bodies. The rest is the facets of the meshes. If the object of a user's plant is compliant too, the
+patch lies between the two surfaces, by how stiff they are, and slip is taken there.
 
-A discrete step solves for forces that act where its end brings the bodies, in fast rolling further
-along the curve than the patch it starts from (1 mm at 1 m/s and 1 ms). The normal is another one
-there: 10 mN of a normal force of 1 N would be taken as friction. The torque of the contact force
-tells the centre of pressure, and the normal there is the right one. The velocities it solves for
-make contacts stick or slide at the poses from which it starts, so that is where slip is read: at
-the poses of the step's end the same velocities would give up to 8 mm/s of slip in D3, on an object
-that turns, where Drake's own point contact has 1e-4 mm/s.
+A discrete step solves for forces that act where its end brings the bodies. In fast rolling that is
+further along the curve than the patch from which the step starts (1 mm at 1 m/s and 1 ms), and the
+normal is another one: with the patch's own, 10 mN of a normal force of 1 N would be taken as
+friction. So the normal is taken at the centre of pressure, which the torque of the contact force
+tells. Slip is read at the poses from which the step starts, as the velocities that it solves for
+make contacts stick or slide there. At the poses of its end the same velocities would be up to 8
+mm/s of slip in D3, whose object turns, where Drake's own point contact has 1e-4 mm/s.
 """
 
 from __future__ import annotations

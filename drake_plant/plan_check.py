@@ -28,8 +28,8 @@ the 1 ms of a discrete plant, by 3e-4 m alone with an accuracy of 1e-3, cenic by
 LOOKS = 20
 """A scene is compared so often, evenly, and whenever the time since the start has doubled."""
 STEPS = 257
-"""And every so many steps, as simulations of one system may take turns; odd, so that each of two
-comes to it. A look takes 30 us."""
+"""It is also compared every so many steps, as simulations of one system may take turns. The number
+is odd, so that neither of two that alternate is left out. A look takes 30 us."""
 
 
 class StepWatch:

@@ -46,7 +46,7 @@ class Scratch:
         self.clearance = clearance.data
 
     def evaluate(self, *outputs: str) -> Array:
-        """Outputs of what is loaded, one after the other; the array is written again."""
+        """Outputs of what is loaded, one after the other; the next call overwrites the array."""
         if outputs not in self._machines:
             self._machines[outputs] = SystemMachine(self._system, *outputs)
         machine = self._machines[outputs]

@@ -233,9 +233,10 @@ static void anchor_track(work_t *w, const body_t *b, int side, track_t *k, const
 }
 
 /* ---- points between two anchors ----
-   Where both anchors are on one branch and one side of y = 0, points there too are on it; where
-   they are on two sides, by the one on the same side; where one side has two branches, by following
-   the path; and by the nearer where signs tell nothing. */
+   Where both anchors are on one branch and one side of y = 0, points on that side are on that
+   branch. Where the anchors are on two sides, a point goes with the anchor on its own side. Points
+   on the other side than both, or between two branches, follow the path from an anchor. An anchor
+   on the seam tells no side: then a point goes with the nearer one. */
 typedef struct {
   double before[3], after[3];
   double low, high;

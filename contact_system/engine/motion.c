@@ -280,9 +280,10 @@ static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at
   double last = HUGE_VAL, before = 1.0; /* before: the ratio of changes one sweep earlier */
   for (int k = 0; k < SWEEPS; k++) {
     const double change = sweep(w, m, half, at, x, f);
-    /* The next change, by the slower of the last two ratios: in second-order equations every other
-       sweep changes little. A ratio tells nothing from a series far off, nor a first one of what is
-       stiff, as all that was wrong is gone at one stroke. */
+    /* What the next sweep will change is foretold by the slower of the last two ratios, as in
+       equations of second order every other sweep changes little. Far from the result a ratio
+       below 0.05 is not believed. Of a stiff V the first ratio is not: one sweep mends all of V,
+       and the next ones are slower. */
     const double ratio = fmax(change / last, last < 0.01 ? 0.0 : 0.05), slower = fmax(ratio, before);
     const int tells = slower < 0.3 && (k > 1 || !has_v(m));
     const double next = tells ? change * slower : change;

@@ -316,9 +316,9 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t
   double *const *out = to->out;
   const int accelerated = out[ACCELERATION] && m->slip->accelerated;
   for (int s = 0; s < 2; s++) {
-    /* slip needs the object's theta alone, and only where there is slip */
-    const int lies = turned && (m->slip->slips || m->side[1].track->offsets || accelerated);
-    const int more = s && lies ? NEED_COORDINATES : accelerated ? NEED_STATE : 0;
+    /* where there is slip, turning it into the contact frame takes the object's theta */
+    const int has_theta = turned && (m->slip->slips || m->side[1].track->offsets || accelerated);
+    const int more = s && has_theta ? NEED_COORDINATES : accelerated ? NEED_STATE : 0;
     sample_body(w, c, s, &m->side[s], to->count, needs | more);
   }
   if (out[POINTS])

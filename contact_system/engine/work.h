@@ -12,8 +12,8 @@ typedef struct {
   const double *leg; /* in the buffer */
   double start, stop;
   double least;     /* sigma */
-  double per_metre; /* least lam/sigma, or 1/length: what is left of V moves the contact by |V| over
-                       it */
+  double per_metre; /* least lam/sigma, or 1/length, 1/m; V moves the contact by at most
+                       |V|/per_metre until it is gone */
   double memory;    /* 1/(least lam): how long slip is remembered */
   int64_t grows;    /* the law makes up for growth, and sigma grows: decay gets sigma(0)/sigma */
   int64_t n_sigma, n_exponent;

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 MET = 1e-13  # of the size: distance from b at which a geodesic has met it
-NEAR = 3e-8  # of the surface's detail, and rad: distance from b before the last step
+NEAR = 3e-8  # of the surface's detail, and rad: from so near, one step of Newton's method meets b
 # error of a step, of the size: of a result, of a geodesic near b, and of a ray of a fan
 SHARP, FINE, ROUGH = 5e-15, 1e-9, 1e-4
 RAYS = 64  # of a fan

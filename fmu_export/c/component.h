@@ -45,11 +45,11 @@ typedef struct {
    values and segments follow. */
 typedef struct {
   int phase, stepping, settled;
-  int pending; /* an edge is reached, and values are those before it */
+  int pending; /* time is at an edge of a window or leg, and values are still those before it */
   int jumped;  /* a window has begun or ended, and the importer does not know */
   int ended;   /* the last step asked for goes beyond sigma's end, or an event was there */
   double time, stop_time;
-  double acts_at; /* of this time are the windows: the edge that time is at, or before it */
+  double acts_at; /* as time, but at an edge: the edge itself, or while pending a hair before it */
   double limit;   /* where sigma turns negative */
 } memory_t;
 

@@ -2,7 +2,7 @@
 #include "model.h"
 
 /* The data of the FMU whose resources are here, to be freed; NULL where there is none. In FMUs of
-   sources scene.c has it, else resource.c. */
+   sources scene.c returns the array in scene.inc, else resource.c reads the file. */
 static double *scene_data(const char *resources, size_t *count);
 
 static unsigned adler32(const void *data, size_t count) {

@@ -1,4 +1,5 @@
-/* A scene as data: what the FMU's file resources/scene.bin holds, or in FMUs of sources scene.c.
+/* A scene as data: what the FMU's file resources/scene.bin holds, or in FMUs of sources
+   scene.inc.
 
    Doubles, places as offsets from its beginning in doubles; texts and instructions lie between them
    as bytes. `fmu_export/data.py` writes it, in this order; versions are checked. */
