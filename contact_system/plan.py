@@ -266,13 +266,14 @@ class Plan:
         t : float
             s, inside this plan's horizon and before the end of the new scene.
         scene : Scene, optional
-            The scene from t on, with the same surfaces and contacts; by default this plan's.
+            The scene from t on, with the same surfaces and contacts; legs that begin after t may
+            be others. By default this plan's.
 
         Raises
         ------
         SceneError
-            Other surfaces, another number of contacts, no time left to plan, contacts with imposed
-            rolling (in either scene), or ``method="chart"``.
+            Other surfaces or contacts, no time left to plan, contacts with imposed rolling (in
+            either scene), or ``method="chart"``.
         """
         after = self.scene if scene is None else scene
         require_scene(after)
@@ -301,6 +302,17 @@ class Plan:
                         f"continued at t = {t:g} s: {s.title}, contact {i}: imposed rolling "
                         "cannot be continued; give finger_velocity as numbers"
                     )
+        for i, (old, new) in enumerate(zip(self.scene.contacts, after.contacts)):
+            begun = [
+                [(leg.start, leg.turn) for leg in s.way(i) if leg.start <= t]
+                for s in (self.scene, after)
+            ]
+            if old.start_numbers() != new.start_numbers() or begun[0] != begun[1]:
+                raise SceneError(
+                    f"{where}: contact {i} starts or turns in another way than in the plan; give "
+                    "the same contact, on which only legs that begin after t may be others, or "
+                    "continue earlier"
+                )
         return Plan(after, self.tolerance, self.method, self.solver, None, t, self.moments(t))
 
     def moments(self, t: float) -> Starts:

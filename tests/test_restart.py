@@ -142,6 +142,16 @@ def test_disturbance_brought_in_by_continuing_is_the_window_of_a_scene():
     assert_same(later, expected, np.linspace(0.5, 1, 21), 2e-13, "states")
 
 
+def turning(direction: float) -> cs.Scene:
+    legs = [cs.Leg(0.0, 0.1, 1.0), cs.Leg(direction, 0.1, 1.0)]
+    return one_contact(legs=legs, duration=2.0)
+
+
+def test_legs_that_begin_later_may_be_others():
+    right, left = cs.plan(turning(1.0)), turning(-1.0)
+    assert_same(right.continued(0.9, left), cs.plan(left), np.linspace(0.9, 2.0, 12), 1e-13, "points")
+
+
 def test_continuing_refuses_other_surfaces_the_end_and_imposed_rolling():
     plan = cs.plan(one_contact())
     (contact,) = plan.scene.contacts
@@ -156,6 +166,8 @@ def test_continuing_refuses_other_surfaces_the_end_and_imposed_rolling():
         (cs.plan(cs.load_scene("C2")), 0.5, None, once),
         (plan, 0.5, rolling, once),
         (plan, 0.5, plan.scene.replace(contacts=[contact] * 2), "contacts = 2, and the plan has 1"),
+        (plan, 0.5, one_contact(angle=0.4), "contact 0 starts or turns in another way"),
+        (cs.plan(turning(1.0)), 1.0, turning(-1.0), "contact 0 starts or turns in another way"),
         (plan, 0.5, "K4", "scene = 'K4': give a Scene"),
     ):
         with pytest.raises(cs.ContactSystemError, match=words):
