@@ -21,6 +21,7 @@ from .engine.binding import Machine, run
 from .errors import ChartSingularity, ConformalContact, ContactSystemError
 from .scene import Scene, require_scene
 from .surfaces import SINGULAR, TINY, ParametricSurface, Surface
+from .surfaces.plane import FlatChart
 from .theory import symbols as ca
 from .theory.equations import contact_velocities, reflection, relative_curvature, solve_plane
 from .theory.geometry import number_symbols, numbers_function, upper_inverse
@@ -29,12 +30,12 @@ from .theory.symbols import per_structure
 
 CONFORMAL = 1e-12  # det of the relative curvature over its square, below which bodies conform
 FLAT = 1e-8  # curvature, over that of a sphere of the greater body's size, that may be rounding
-MOST_STEPS = 30
+MOST_STEPS = 200
 SETTLED = 1e3  # times the wanted step: a last step up to this may be rounding
 NOISE = 1e-2  # by which a measured rotation matrix may differ from a rotation
 NEARBY = 0.02  # of the body's size: a contact moves less between two measurements
 GRID = 25  # points in each coordinate of a finger, among which the nearest to the object is sought
-LONGEST_STEP = 0.5  # of the body's size, where bodies are far apart
+LONGEST_STEP = 0.5  # of a curved body's size, where bodies are far apart
 SEEN = 22  # numbers of a measurement
 # columns of what is found, those of `measured_contact` behind the next unknowns
 STATES, SLIP, ON_FINGER, ON_OBJECT = slice(2, 11), slice(11, 13), slice(13, 16), slice(16, 19)
@@ -181,6 +182,11 @@ class ContactSensor:
                     f"{what}: the surfaces conform to each other at the contact, so a twist does "
                     "not determine where they touch; change a radius or a surface"
                 )
+            if measurement.step[i] > self.settled:
+                raise ContactSystemError(
+                    f"{what}: no common normal of the surfaces was found, the next step is "
+                    f"{measurement.step[i]:.3g} m; give a point nearer to the contact"
+                )
             if not np.isfinite(measurement.states[i]).all():
                 at = measurement.points[i].tolist()
                 raise ChartSingularity(
@@ -188,11 +194,6 @@ class ContactSensor:
                     f"surface's center, where there is no contact frame ({at[0]} m on the finger, "
                     f"{at[1]} m on the object); measure nearby, turn the body's axes so that the "
                     "pole lies elsewhere, or choose another center"
-                )
-            if not measurement.step[i] <= self.settled:
-                raise ContactSystemError(
-                    f"{what}: no common normal of the surfaces was found, the next step is "
-                    f"{measurement.step[i]:.3g} m; give a point nearer to the contact"
                 )
 
 
@@ -220,6 +221,7 @@ class Probe:
         self._run, self._small = machine.run, small
         self._surfaces = finger, obj
         self._in_space = not any(isinstance(s, ParametricSurface) for s in self._surfaces)
+        machine.point[:n] = np.nan  # no last measurement
 
     def find(self, point: Any, of_finger: Any = None) -> np.ndarray:
         """Newton's method from a point near the contact, until steps are small; returns `found`.
@@ -247,6 +249,10 @@ class Probe:
         # where bodies conform, steps may lead to places where they do not
         if abs(first) <= CONFORMAL and not step[0] <= small:
             self._relative[0] = first
+        if not self._in_space:
+            for at, surface in zip((self.found[2:4], self.found[6:8]), self._surfaces):
+                if isinstance(surface, ParametricSurface):
+                    at[:] = surface._wrap(*at)
         return self.found
 
     def approach(self) -> np.ndarray:
@@ -279,7 +285,7 @@ class _Side:
     def __init__(self, surface: Surface):
         self.size, numbers = ca.SX.sym("size"), number_symbols(surface)
         self.constants = ca.vertcat(numbers, self.size)
-        self.in_space = surface.has_implicit
+        self.in_space, self.flat = surface.has_implicit, issubclass(surface.chart, FlatChart)
         self.unknowns = z = ca.SX.sym("z", 3 if self.in_space else 2)
         if not self.in_space:
             at = surface.geometry_expr(numbers, z[0], z[1])
@@ -310,6 +316,8 @@ class _Side:
         return ca.fmin(self.metric_root[0, 0], self.metric_root[1, 1]) > SINGULAR * self.size
 
     def shortened(self, step: ca.SX) -> ca.SX:
+        if self.flat:
+            return step
         return step * ca.fmin(1, LONGEST_STEP * self.size / (ca.norm_2(step) + 1e-300))
 
     def moved(self, step: ca.SX) -> ca.SX:

@@ -75,6 +75,17 @@ def test_points_a_little_off_lead_to_the_same_states(name):
     assert cs.measured_states(scene, pose, twist, off) == pytest.approx(exact, abs=1e-11)
 
 
+def test_contacts_are_found_below_a_thin_chart_and_far_along_a_wire():
+    thin = ("a*sin(u + 1)*cos(v)", "a*sin(u + 1)*sin(v)", "c*cos(u + 1)")  # u = v = 0 is on top
+    thin = cs.ParametricSurface(thin, parameters={"a": 0.1, "c": 1e-3}, size=0.1, u_range=(-1, 2))
+    for obj, object_at, off in ((thin, (1.14, 0.0), 0.0), (cs.Cylinder(5e-4), (0.3, 0.0), 0.04)):
+        contact = cs.Contact(cs.Sphere(0.05), object_at)
+        scene = cs.Scene(object=obj, contacts=[contact], profile=cs.Profile([0.1]), duration=1.0)
+        pose, twist, points = at(cs.plan(scene), 0.0)
+        found = cs.measured_states(scene, pose, twist, points + [0.0, 0.0, off])
+        assert found[0, 4:6] == pytest.approx(object_at, abs=1e-12)
+
+
 def test_rates_hold_the_slip_measured_at_the_objects_surface():
     scene = cs.load_scene("D1")
     plan = cs.plan(scene)
