@@ -284,10 +284,11 @@ def _moved(contact: Contact, i: int, surface: Surface, body: str, at: Pair) -> t
     """
     key = f"{body}_at"
     given: Pair = getattr(contact, key)
-    for name, value, here in zip("uv", given, at):
-        if value != here and abs(value) > MANY_TURNS:
+    for name, value, here, period in zip("uv", given, at, surface.periods()):
+        most = MANY_TURNS * (1.0 if period is None else period / (2 * math.pi))
+        if value != here and abs(value) > most:
             raise SceneError(
-                f"contacts[{i}]: {key}: {name} = {value!r}: beyond {MANY_TURNS:g} rad a "
+                f"contacts[{i}]: {key}: {name} = {value!r}: beyond {most:.6g} a "
                 "double resolves an angle within its turn too poorly; subtract whole turns"
             )
     half_turn = surface.double_cover and fold_latitude(given[1])[1]
