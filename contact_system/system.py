@@ -80,9 +80,10 @@ class SceneSystem:
     n_w : int
         6 for each contact, or 0 if w is empty.
     edges : tuple of float
-        Times at which :meth:`window_values` changes or a leg begins, ascending, s.
+        Times at which :meth:`window_values` changes, and corners, ascending, s.
     corners : frozenset of float
-        Times at which a later leg begins: :meth:`turned` gives x and held after it.
+        Times at which a later leg begins, or V, being a state, ends as sigma = 0 under a law that
+        makes up for growth: :meth:`turned` gives x and held after it.
     state_slices, held_slices : list of slice
         The parts of x and held that belong to each contact.
 
@@ -109,9 +110,11 @@ class SceneSystem:
         self._ways = [
             c.whole_way(scene.profile, scene.duration) if c.legs else () for c in scene.contacts
         ]
-        self.corners = frozenset(stretch.start for way in self._ways for stretch in way[1:])
-        self.edges = tuple(sorted({*scene.window_edges, *self.corners}))
         self.forms = self._forms()
+        self._rests = [self._rests_of(i) for i in range(n)]
+        turns = {stretch.start for way in self._ways for stretch in way[1:]}
+        self.corners = frozenset(turns.union(*self._rests))
+        self.edges = tuple(sorted({*scene.window_edges, *self.corners}))
         self.state_slices = _consecutive(sum(form.sizes) for form in self.forms)
         self.held_slices = _consecutive(
             form.n_held + bool(way) * (1 + form.n_profile)
@@ -157,6 +160,17 @@ class SceneSystem:
             grown = () if way else growths
             forms.append(Form(self.coordinates, forced, (tip, body), law, n_profile, grown))
         return forms
+
+    def _rests_of(self, contact: int) -> set[float]:
+        """Times after the start at which sigma = 0 sets a V that is a state to zero."""
+        if not (self.forms[contact].forced and self.scene.gain.row.makes_up):
+            return set()
+        return {
+            leg.start + zero
+            for leg in self.scene.way(contact)
+            for zero in leg.profile.zeros(leg.stop - leg.start)
+            if leg.start + zero > 0
+        }
 
     @kept
     def parameter_names(self) -> list[str]:
@@ -355,6 +369,8 @@ class SceneSystem:
                     x[self.state_slices[i]][-4:] = after
                 since = [] if form.forced else [*after, 0.0]
                 held[part] = [*since, *self._held_of(i, now)]
+            if t in self._rests[i]:
+                x[self.state_slices[i]][-2:] = 0.0
         return x, held
 
     def from_states(

@@ -123,12 +123,15 @@ class PlannerBase(_System):
         """Nothing happens, but no integrator steps across it."""
 
     def _Turn(self, edge: float, context: Any, state: Any) -> None:
-        """Contacts go on along their next legs."""
+        """Contacts go on along their next legs, or without slip from a rest."""
         x = context.get_continuous_state_vector().CopyToVector().ravel()
-        held = context.get_discrete_state(self._held).CopyToVector().ravel()
+        held = self.system.held0
+        if self._held is not None:
+            held = context.get_discrete_state(self._held).CopyToVector().ravel()
         x, held = self.system.turned(edge, x, held, self._Numbers(context, "carried"))
         state.get_mutable_continuous_state().SetFromVector(x)
-        state.get_mutable_discrete_state(self._held).SetFromVector(held)
+        if self._held is not None:
+            state.get_mutable_discrete_state(self._held).SetFromVector(held)
 
     def _Prerequisites(self, *outputs: str) -> set:
         """What outputs depend on, from the sparsity of their functions."""

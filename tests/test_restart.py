@@ -149,7 +149,9 @@ def turning(direction: float) -> cs.Scene:
 
 def test_legs_that_begin_later_may_be_others():
     right, left = cs.plan(turning(1.0)), turning(-1.0)
-    assert_same(right.continued(0.9, left), cs.plan(left), np.linspace(0.9, 2.0, 12), 1e-13, "points")
+    assert_same(
+        right.continued(0.9, left), cs.plan(left), np.linspace(0.9, 2.0, 12), 1e-13, "points"
+    )
 
 
 def test_continuing_refuses_other_surfaces_the_end_and_imposed_rolling():

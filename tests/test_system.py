@@ -85,6 +85,10 @@ MOTIONS = {
     "sigma grows and falls": {"profile": (0.05, 0.2, -0.2)},
     "from rest": {"profile": (0.0, 0.0, 0.3)},
     "pushed after a rest": {"profile": (0.0, 0.3), "disturbances": [LATE]},
+    "pushed before a rest": {
+        "profile": (0.64, -1.6, 1.0),
+        "disturbances": [DISTURBANCES["finger"]],
+    },
     "corners": {"legs": LEGS},
     "corners, pushed": {"legs": LEGS, "disturbances": [BETWEEN]},
     "legs that meet at a speed": {"legs": JOINED},
