@@ -171,7 +171,8 @@ static void restore_body(work_t *w, int side, const body_t *b, double *state) {
   for (int j = 0; j < 6; j++) state[j] = found[j][0];
 }
 
-/* 1/(size of each state): positions count by the body's size, angles and directions by 1. */
+/* 1/(size of each state): positions count by the body's size, angles and directions by 1. At poles
+   coordinates count as a hundredth of those beside; users' charts have units of their own. */
 static void scales(work_t *w, int ambient, const body_t *b, const double *state,
                    double *scale) {
   if (ambient) {
@@ -180,7 +181,8 @@ static void scales(work_t *w, int ambient, const body_t *b, const double *state,
   }
   double lame[3];
   run_one(w, b->surface->chart[C_LAME], b->numbers, state, lame);
-  for (int j = 0; j < 2; j++) scale[j] = fmax(lame[j] / b->size, 1e-2);
+  const double beside = b->surface->flags & MAY_BE_SINGULAR ? fmax(lame[0], lame[1]) : b->size;
+  for (int j = 0; j < 2; j++) scale[j] = fmax(lame[j], 1e-2 * fmin(beside, b->size)) / b->size;
   scale[2] = 1.0;
 }
 
