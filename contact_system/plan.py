@@ -527,7 +527,7 @@ def load(path: str | os.PathLike) -> Plan:
         The file cannot be read, is not such a plan, is damaged, or exceeds a limit of
         `contact_system.limits`.
     """
-    from .saved import read_plan, starts_of  # archives are slow to import
+    from .saved import PLAN_FILE, read_plan, starts_of  # archives are slow to import
 
     path = a_path(path)
     if path.suffix == ".toml":
@@ -538,5 +538,10 @@ def load(path: str | os.PathLike) -> Plan:
         tolerance, method, solver, start = (
             header[key] for key in ("tolerance", "method", "solver", "start")
         )
-        starts, now = starts_of(header), method != "chart"
-        return Plan(scene, tolerance, method, solver, None, start, starts, now)
+        now = method != "chart"
+        try:
+            return Plan(scene, tolerance, method, solver, None, start, starts_of(header), now)
+        except ContactSystemError:
+            raise
+        except Exception as error:  # numbers of somebody who made the digest anew
+            raise ContactSystemError(f"not {PLAN_FILE}: {error}") from None
