@@ -40,8 +40,8 @@ NEAR, NEARER = 1e-4, 1e-7
 """Errors before the last, quadratically convergent step in a search of many paths, and of one."""
 STARTS = 128
 """Starts for each number of legs."""
-CORRECTIONS = 20
-"""Most corrections of a path for slip."""
+CORRECTIONS, DIFFERENCE = 8, 1e-6
+"""Most corrections of a path for slip, and the change of unknowns for derivatives, in units."""
 SAMPLES = 201
 """Times at which a route is checked against its regions."""
 
@@ -194,7 +194,7 @@ class _Search:
                     shorter = None if legs else self._four_rolls(route.length)
                     how = f"{n} leg{'s' * (n > 1)}, {(batch + 1) * LANES} starts"
                     return self._shorter(shorter or route, legs, until), how
-            tried.append(f"{n} legs from {STARTS} starts")
+            tried.append(f"{n} leg{'s' * (n > 1)} from {STARTS} starts")
         explicit = self._four_rolls(math.inf) if legs in (None, MOST_LEGS) else None
         if explicit is None:
             raise SceneError(self._refusal(tried))
@@ -232,18 +232,26 @@ class _Search:
             if not path.off[0] < NEAR:
                 return None
             if np.linalg.norm(self._gap(z)) > REACHED:
-                from scipy.optimize import least_squares  # takes 0.2 s
-
-                n, longest = len(z) // 2, self.longest or math.inf
-                unit, most = np.repeat([[1.0, self.aim.unit], [math.inf, longest]], n, axis=1)
-                least = {"x_scale": unit, "xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
-                least |= {"bounds": (-most, most), "max_nfev": CORRECTIONS}
-                z = least_squares(self._gap, np.clip(z, -most, most), **least).x
+                z = self._corrected(z)
             off = float(np.linalg.norm(self._gap(z)))
             return _Route(z, self.alone(z), off, squares) if off <= REACHED else None
         except ContactSystemError:  # such as a path through a pole
             pass
         return None
+
+    def _corrected(self, z: Array) -> Array:
+        """The path whose plan ends at the goal, by the least Gauss-Newton steps."""
+        n, longest = len(z) // 2, self.longest or math.inf
+        unit, most = np.repeat([[1.0, self.aim.unit], [math.inf, longest]], n, axis=1)
+        for _ in range(CORRECTIONS):
+            gap = self._gap(z)
+            if np.linalg.norm(gap) <= 0.1 * REACHED:
+                break
+            rows = [self._gap(z + h) - self._gap(z - h) for h in np.diag(DIFFERENCE * unit)]
+            slopes = np.transpose(rows) / (2 * DIFFERENCE)
+            slopes[:, np.abs(z) >= most] = 0.0  # a leg of the greatest length stays so long
+            z = np.clip(z - unit * np.linalg.lstsq(slopes, gap, rcond=1e-9)[0], -most, most)
+        return z
 
     def _gap(self, z: Array) -> Array:
         """How far off the goal the plan of a path ends."""
@@ -300,14 +308,14 @@ class _Search:
 
     def _refusal(self, tried: Sequence[str]) -> str:
         why = "no path was found that arrives there"
-        if self._alike():
-            why = (
-                "the finger and the object have the same curvature everywhere, so that a place on "
-                "one body determines the place on the other, and the angle"
-            )
-        elif self.nearest < NEAR and self.aim.contact.object_velocity != ROLLING:
+        if self.nearest < NEAR and self.aim.contact.object_velocity != ROLLING:
             why += (
                 ": paths without slip do, slip leads away from them; raise the gain, or let it roll"
+            )
+        elif self._alike():
+            why = (
+                "the finger and the object have the same Gaussian curvature everywhere, so that a "
+                "place on one body determines the place on the other, and the angle"
             )
         elif self.aim.is_pose:
             why += "; do the bodies touch in that pose, from outside?"
