@@ -139,6 +139,13 @@ def test_a_leg_in_the_direction_of_a_geodesic_ends_where_it_does():
     assert end == pytest.approx(ELLIPSOID.point(*b), abs=1e-12 * ELLIPSOID.size)
 
 
+def test_lines_twice_round_a_waist_end_at_their_point():
+    waist, b = cs.Quadric(np.diag([1.0, 1.0, -1.0])), (-1.0, 0.0, 0.0)
+    for k, line in enumerate(cs.geodesics(waist, (1.0, 0.0, 0.0), b, 4)):
+        assert line.length == pytest.approx((math.pi, 3 * math.pi)[k > 1], abs=1e-11)
+        assert line.points(line.length) == pytest.approx(np.array(b), abs=1e-11)
+
+
 def test_shapes():
     a, b = np.array([[[1.0, 0.2]], [[0.5, 0.3]]]), np.array([(2.0, 1.0), (1.5, 0.9), (2.5, 0.1)])
     lines = cs.geodesic(ELLIPSOID, a, b)

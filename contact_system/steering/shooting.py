@@ -172,7 +172,7 @@ class Search:
             # the error after a step is the square of the one before
             close = (away <= NEAR * self.follow.detail) & (np.abs(turn) * grown <= NEAR)
             sharp = tolerance <= SHARP
-            off[active] = np.where(sharp & close, 0.0, away)
+            off[active] = np.where(sharp, np.where(close, 0.0, away), math.inf)
             field[active] = j
             done = sharp & (off[active] <= 0.02 * MET * size * grown)
             goes_on = np.isfinite(away) & ~done
