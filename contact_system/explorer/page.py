@@ -28,7 +28,7 @@ from ..plots.meshes import Mesh, mesh_of
 from ..plots.style import BODY, DISTURBED, colour_of
 from ..scene import NO_CLAIMS, Scene, save_scene
 from ..steering import Goal, reach
-from ..surfaces import Surface
+from ..surfaces import ParametricSurface, Surface
 from ..theory.gain import LAWS, Gain
 from .sliders import Place, Slider, adjusted, gain_slider, sliders_of
 
@@ -197,7 +197,8 @@ class Explorer:
             self._save()
 
     def _slider(self, slider: Slider, label: str) -> Any:
-        """A slider in the page; it changes the scene only when it is moved."""
+        """A slider in the page; it changes the scene only when it is moved, and where it first was
+        it stands for the scene's own value, which it shows rounded."""
         span = slider.high - slider.low
         step = 10.0 ** np.floor(np.log10(span / 200))
         low, high = (round(x / step) * step for x in (slider.low, slider.high))
@@ -207,10 +208,11 @@ class Explorer:
 
         @handle.on_update
         async def _(_: Any) -> None:
+            now = slider.value if handle.value == value else handle.value
             if slider.places == (("gain",),):
-                self._set_gain(handle.value)
+                self._set_gain(now)
                 return
-            self.ask({place: slider.made(handle.value) for place in slider.places})
+            self.ask({place: slider.made(now) for place in slider.places})
 
         return handle
 
@@ -231,7 +233,7 @@ class Explorer:
         left = " Disturbances are left out." if scene.disturbances else ""
         goals = [self.goals.get(i) for i in range(len(scene.contacts))]
         route = reach(scene.replace(disturbances=()), goals)
-        legs = sum(map(len, route.legs))
+        legs = sum(leg.length != 0 for own in route.legs for leg in own)
         text = f"{legs} leg{'s' * (legs > 1)}, {route.length:.3g} m in all, to the goal."
         return route.scene, f"{text} Fingers without one rest.{left}"
 
@@ -261,7 +263,10 @@ class Explorer:
             return
         before, i = dict(self.goals), int(self.finger.value.partition(":")[0])
         try:
-            u, v = scene.object.coordinates(hit)
+            if isinstance(scene.object, ParametricSurface):  # the hit is on a triangle near it
+                u, v, _ = scene.object.nearest(hit)
+            else:
+                u, v = scene.object.coordinates(hit)
             self.goals[i] = Goal(object_at=(float(u), float(v)))
         except ContactSystemError as error:
             self.said.content = f"**Refused, so the picture stays:** {error}"
