@@ -108,10 +108,10 @@ def sweep(
     folder : path, optional
         Keep the results of each chunk in a file there, not in memory. The same call continues an
         interrupted sweep: chunks are skipped if their scenes (or the contents of their files), the
-        tolerance and the name of ``evaluate`` are unchanged, and the numbers, texts, tuples and
-        arrays that it encloses or has as defaults of arguments. A lambda has no name. Files are
-        named and checked by digests: sweeps may share a folder, even at the same time, and damaged
-        chunks are done again. Results of scenes that have changed stay there.
+        tolerance and the name of ``evaluate`` are unchanged, and the numbers, texts, tuples,
+        arrays and parts of scenes that it encloses or has as defaults of arguments. A lambda has
+        no name. Files are named and checked by digests: sweeps may share a folder, even at the same
+        time, and damaged chunks are done again. Results of scenes that have changed stay there.
     chunk : int, optional
         Number of scenes that a worker takes at a time, and at most plans together; default 500, or
         1 with ``each``.

@@ -202,7 +202,7 @@ def _table(batch: Batch, outputs: Mapping[str, ArrayLike]) -> np.ndarray:
             f"evaluate returned {type(outputs).__name__}; return a dict of arrays"
         )
     for key, value in outputs.items():
-        if not isinstance(key, str):
+        if not isinstance(key, str) or not key:
             raise ContactSystemError(f"evaluate returned the key {key!r}; give names as text")
         try:
             array = np.asarray(value)

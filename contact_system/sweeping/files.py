@@ -15,7 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import ContactSystemError
-from ..scene import scene_text
+from ..scene import Contact, Scene, scene_text
+from ..surfaces import Surface
+from ..theory.gain import Gain
+from ..theory.profile import Profile
 from ..writing import writing
 from .chunk import Failure, Item, Part, Run
 
@@ -71,14 +74,14 @@ def digest(run: Run, first: int, items: tuple[Item, ...]) -> str:
 
 
 def _enclosed(function: Callable) -> str:
-    """The numbers, texts, tuples and arrays that a function encloses, or has as defaults of its
-    arguments, as text. Lists and tables may be what it writes to."""
+    """The numbers, texts, tuples, arrays and parts of scenes that a function encloses, or has as
+    defaults of its arguments, as text. Lists and tables may be what it writes to."""
     found = [*(getattr(function, "__defaults__", None) or ())]
     found += (getattr(function, "__kwdefaults__", None) or {}).values()
     for cell in getattr(function, "__closure__", None) or ():
         with contextlib.suppress(ValueError):  # a name without a value yet
             found.append(cell.cell_contents)
-    kinds = (numbers.Number, str, tuple, np.ndarray)
+    kinds = (numbers.Number, str, tuple, np.ndarray, Scene, Surface, Contact, Profile, Gain)
     values = [value for value in found if isinstance(value, kinds)]
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):  # arrays in full
         return repr(values)
