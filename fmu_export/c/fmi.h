@@ -420,7 +420,8 @@ static update_t update(component_t *c) {
 
 static status_t check_step(component_t *c, double from, double size) {
   const double end = from + size, room = 1e-9 * fmax(1.0, fabs(end));
-  if (!(size > 0) || !(fabs(end) < 1e300)) /* FMI 2 and 3 alike: h must be greater than 0 */
+  if (!(size > 0) || !(fabs(end) < 1e300) ||
+      end < c->now->time) /* FMI 2 and 3 alike: h must be greater than 0 */
     REFUSE("a step of %g s from t = %g s is refused; give a positive length; to go back, set an "
            "FMU state",
            size, from);

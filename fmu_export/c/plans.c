@@ -110,12 +110,16 @@ static int go_on(component_t *c, long i, plan_t *plan, double t, segment_t *s) {
   return 0;
 }
 
+/* The shortest segment from t on */
+static double least_span(double t) { return 8 * DBL_EPSILON * fmax(1.0, t); }
+
 /* A segment's end, at an edge a bit later: values there are those after it. */
 static double end_of(const component_t *c, double begin, double end, double target) {
   end = fmin(fmax(end, target), c->now->limit);
   const double edge = snapped(c, end, 1);
   for (long k = 0; k < n_edges(c->model); k++)
-    if (edge_of(c, k) == edge) return fmin(edge + 0.01 * (edge - begin), c->now->limit);
+    if (edge_of(c, k) == edge)
+      return fmin(edge + fmax(0.01 * (edge - begin), least_span(edge)), c->now->limit);
   return end;
 }
 
@@ -136,9 +140,9 @@ static plan_t *plan_ahead(component_t *c, long i, segment_t *s, double target) {
 static int cover(component_t *c, long i, double target) {
   live_t *k = c->live + i;
   segment_t *s = c->segment + i, next;
-  const double least = s->begin + 8 * DBL_EPSILON * fmax(1.0, s->begin);
+  const double least = s->begin + least_span(s->begin);
   if (!k->plan) {
-    if (s->end < s->begin) s->end = end_of(c, s->begin, fmax(-s->end, least), target);
+    if (!(s->end > s->begin)) s->end = end_of(c, s->begin, fmax(-s->end, least), target);
     k->plan = plan_ahead(c, i, s, fmax(target, least)), k->anchored = 0;
     if (!k->plan) return 1;
   }
