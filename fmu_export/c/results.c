@@ -180,6 +180,33 @@ static void derive_windows(component_t *c, long i, int transposed) {
     }
 }
 
+/* J seed of contact i, all of it in one lane */
+static void grow_along(component_t *c, long i, const double *column, long inputs, double *grown) {
+  double any = 0.0;
+  memset(c->tangents, 0, (size_t)inputs * sizeof *c->tangents);
+  for (long r = 0; r < inputs; r++) {
+    if (column[r] >= 0) c->tangents[r][0] = c->seed[(long)column[r]]; /* else a leg's own number */
+    any = fmax(any, fabs(c->tangents[r][0]));
+  }
+  if (any == 0.0) return;
+  double (*found)[L] = run_along(c, i);
+  for (long j = 0; j < n_results(c->model->layout + i); j++) grown[j] = found[j][0];
+}
+
+/* J^T seed of contact i, by blocks of columns of J */
+static void hand_back(component_t *c, long i, const double *column, long inputs,
+                      const double *seed) {
+  const long results = n_results(c->model->layout + i);
+  for (long from = 0; from < inputs; from += L) {
+    memset(c->tangents, 0, (size_t)inputs * sizeof *c->tangents);
+    for (long r = from; r < inputs && r < from + L; r++) c->tangents[r][r - from] = 1.0;
+    double (*found)[L] = run_along(c, i);
+    for (long r = from; r < inputs && r < from + L; r++)
+      for (long j = 0; column[r] >= 0 && j < results; j++)
+        if (seed[j] != 0.0) c->grown[(long)column[r]] += seed[j] * found[j][r - from];
+  }
+}
+
 /* grown = J seed over all references, or J^T seed */
 static void derive(component_t *c, int transposed) {
   const model_t *m = c->model;
@@ -198,22 +225,14 @@ static void derive(component_t *c, int transposed) {
       double state;
       get_values(c, (unsigned)l->at[OF_STATES], 1, &state);
     }
-    if (!transposed) derive_windows(c, i, 0), memset(grown, 0, (size_t)results * sizeof *grown);
-    for (long from = 0; from < inputs; from += L) {
-      memset(c->tangents, 0, (size_t)inputs * sizeof *c->tangents);
-      for (long r = from; r < inputs && r < from + L; r++) c->tangents[r][r - from] = 1.0;
-      double (*found)[L] = run_along(c, i);
-      for (long r = from; r < inputs && r < from + L; r++) {
-        const long own = (long)column[r];
-        if (own < 0) continue; /* a leg's own number */
-        for (long j = 0; j < results; j++)
-          if (transposed && seed[j] != 0.0)
-            c->grown[own] += seed[j] * found[j][r - from];
-          else if (!transposed && c->seed[own] != 0.0)
-            grown[j] += found[j][r - from] * c->seed[own];
-      }
+    if (transposed) {
+      hand_back(c, i, column, inputs, seed);
+      derive_windows(c, i, 1);
+    } else {
+      derive_windows(c, i, 0);
+      memset(grown, 0, (size_t)results * sizeof *grown);
+      grow_along(c, i, column, inputs, grown);
     }
-    if (transposed) derive_windows(c, i, 1);
     if (SYSTEM(c->now)) find_system(c, i);
     if (past_end(c))
       for (long j = 0; j < m->n_values; j++)
