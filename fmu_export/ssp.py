@@ -56,7 +56,9 @@ def export_ssp(
         Something else than scenes and FMUs, variables that models do not have, and what
         `export_fmu` refuses.
     """
-    if not (isinstance(models, Mapping) and models and all(isinstance(n, str) for n in models)):
+    if not (
+        isinstance(models, Mapping) and models and all(isinstance(n, str) and n for n in models)
+    ):
         raise ContactSystemError(
             f'models = {models!r:.80}: give Scenes or paths of FMUs by name: {{"left": scene}}'
         )
@@ -111,7 +113,7 @@ def _structure(
         if not types:
             raise ContactSystemError(f"connections: {pair!r}: neither is a variable of a model")
         attributes: dict[str, str] = {}
-        for (model, variable, _), kind in zip(places, _SIDES):
+        for (model, variable, own), kind in zip(places, _SIDES):
             side = _SIDES[kind]
             # what goes into the system is an input of it and goes out to its models
             kind = kind if model else {"output": "input", "input": "output"}[kind]
@@ -121,7 +123,7 @@ def _structure(
                 )
             if (model, variable) not in seen:
                 connector = _add(inside.get(model, outside), "Connector", name=variable, kind=kind)
-                ET.SubElement(connector, f"{{{_SSC}}}{types[0]}")
+                ET.SubElement(connector, f"{{{_SSC}}}{own or types[0]}")
             seen.add((model, variable))
             attributes |= {f"{side}Element": model} if model else {}
             attributes[f"{side}Connector"] = variable

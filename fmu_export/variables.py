@@ -224,7 +224,7 @@ def _parameters(scene: Scene) -> Iterator[list[Variable]]:
                 least = min(1e-6, 1e-3 * value)
                 rows.append(_parameter(*own, METRE, text, minimum=least, nominal=value or None))
             else:
-                rows.append(_parameter(*own, None, text))
+                rows.append(_parameter(*own, METRE if name.startswith("center[") else None, text))
         yield rows
 
 

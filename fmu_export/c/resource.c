@@ -14,8 +14,11 @@ static void path_of(const char *resources, char *path, size_t room) {
   const int uri = !strncmp(from, "file:", 5);
   if (uri) from += 5;
   if (uri && !strncmp(from, "//", 2)) {
-    from += 2;
-    while (*from && *from != '/') from++; /* a host, localhost at most */
+    const char *host = from + 2;
+    for (from = host; *from && *from != '/';) from++; /* a host, localhost at most */
+#ifdef _WIN32
+    if (from > host && strncmp(host, "localhost/", 10)) from = host - 2; /* a share */
+#endif
   }
 #ifdef _WIN32
   if (uri && *from == '/' && from[1] && from[2] == ':') from++;
