@@ -151,13 +151,15 @@ def _explained(text: str) -> Iterable[str]:
 
 def _happened(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterable[str]:
     """What any reader has to know before anything else."""
-    from .measures import object_report
+    from .measures import LATELY, object_report
 
     found = object_report(result)
     yield f"The object moved by {found.moved:.3g} m and turned by {math.degrees(found.turned):.3g}"
     yield "degrees."
     if found.falls:
+        time = min(LATELY, result.t[-1])
         yield f"It falls: {max(found.carried, 0.0):.0%} of its weight is carried"
+        yield f"in the last {time:g} s,"
         yield "though forces balance it." if result.config.balances else "and nothing balances it."
     elif not math.isnan(found.carried):
         yield "Its weight is carried by the fingers."

@@ -36,6 +36,9 @@ SLIDING, CREEPING = 10.0, 1e-3
 CARRIED = 0.95
 """Part of its weight that carries an object."""
 
+LATELY, MOMENT = 0.5, 0.01
+"""How long, before the end, that is judged, and in what time a speed is measured [s]."""
+
 
 @dataclass(frozen=True)
 class ContactReport:
@@ -148,8 +151,9 @@ class ObjectReport:
     moved, turned : float
         Farthest from where it began [m], [rad].
     carried : float
-        Part of its weight that something balances, by how far it has fallen; NaN without gravity,
-        or where it is not free.
+        Part of its weight that something balances, at most 1: 1 + a/g with its mean upward
+        acceleration a in the last 0.5 s, beyond what its path in a hand has, and what a push that
+        still acts takes away; NaN without gravity, or where it is not free.
     """
 
     moved: float
@@ -217,20 +221,29 @@ def outcome(scene: Scene, duration: float | None = None) -> dict[str, Array]:
 def object_report(result: SimulationResult) -> ObjectReport:
     """How far the object moved and turned, and whether it falls."""
     require_config(result, SimulationResult, "result")
-    pushes = [push for push in result.config.pushes if push.on == "object"]
-    poses, time = result.object_pose, result.t[-1] - result.t[0]
+    poses = result.object_pose
     path = poses[:, :3, 3] - poses[0, :3, 3]
     traces = np.einsum("mij,ij->m", poses[:, :3, :3], poses[0, :3, :3])
     angle = np.arccos(np.clip((traces - 1) / 2, -1, 1))
     config, carried = result.config, math.nan
     if config.gravity and config.object == "free":
-        # without the way that pushes alone would have moved it
-        since = [result.t[-1] - np.clip([p.start, p.stop], *result.t[[0, -1]]) for p in pushes]
-        pushed = [p.force[2] * (a**2 - b**2) for p, (a, b) in zip(pushes, since)]
-        fallen = path[-1, 2] - sum(pushed) / (2 * config.object_mass)
-        carried = 1 + 2 * fallen / (config.gravity * time**2)
+        carried = min(1.0, 1 + _acceleration(result) / config.gravity)
     farthest = np.linalg.norm(path, axis=1).max()
     return ObjectReport(float(farthest), float(angle.max()), float(carried))
+
+
+def _acceleration(result: SimulationResult) -> float:
+    """Upward, of the object, on average over what is judged, m/s^2. Pushes that it comes back from
+    cancel out; one that presses it down at the end is left out."""
+    end, time = result.t[-1], min(LATELY, result.t[-1] - result.t[0])
+    moment = min(MOMENT, time / 2)
+    wanted = getattr(result, "wanted_pose", result.object_pose[:1])
+    marks = end - np.array([time, time - moment, moment, 0.0])
+    z = np.interp(marks, result.t, result.object_pose[:, 2, 3] - wanted[:, 2, 3])
+    pressing = (p for p in result.config.pushes if p.on == "object" and p.start < end <= p.stop)
+    pressed = sum(min(p.force[2], 0.0) * min(end - p.start, time) for p in pressing)
+    gained = (z[3] - z[2] - z[1] + z[0]) / moment - pressed / result.config.object_mass
+    return float(gained / (time - moment))
 
 
 def push_table(result: SimulationResult) -> list[PushReport]:

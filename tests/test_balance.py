@@ -122,11 +122,12 @@ def test_a_ball_is_held_where_gravity_is_on(model):
     assert "80% of the friction cones as planned" in told
 
 
-def test_a_ball_pushed_while_it_is_held_comes_back():
-    push = {"on": "object", "start": 0.05, "stop": 0.1, "force": [0.0, 0.0, -0.5]}
+@pytest.mark.parametrize("force", [-0.5, 2.0])
+def test_a_ball_pushed_while_it_is_held_comes_back(force):
+    push = {"on": "object", "start": 0.05, "stop": 0.1, "force": [0.0, 0.0, force]}
     result = simulate(held(contact_model="point", pushes=[push]), duration=0.5)
     path = np.linalg.norm(result.object_pose[:, :3, 3], axis=1)
-    assert path.max() > 2e-4 and path[-1] < 1e-4
+    assert path.max() > 2e-4 and path[-1] < 1e-4 and not object_report(result).falls
 
 
 def test_what_nothing_balances_is_refused_before_it_is_simulated():
@@ -136,11 +137,13 @@ def test_what_nothing_balances_is_refused_before_it_is_simulated():
         BuildStation(scene)
 
 
-def test_constant_forces_stay_as_they_are_and_let_the_object_fall():
+def test_constant_forces_stay_as_they_are_and_let_the_object_fall_as_a_finger_does():
     result = simulate(held(contact_model="point", forces="constant"), duration=0.1)
     assert object_report(result).falls
     assert (result.planned["normal_force"] == 1.0).all()
     assert "nothing balances it" in " ".join(_told(result, None))
+    push = {"on": "contact 0", "start": 0.42, "stop": 1.0, "force": [20.0, 0.0, 0.0]}
+    assert object_report(simulate(held(contact_model="point", pushes=[push]), duration=0.5)).falls
 
 
 def test_only_a_free_object_is_balanced():

@@ -14,6 +14,7 @@ from pydrake.trajectories import PiecewisePose
 import contact_system as cs
 from drake_plant import Hand, StationConfig, cli, hand_report, plan_reorientation, simulate
 from drake_plant.hand import own_hand
+from drake_plant.measures import object_report
 
 H2 = cs.load_scene("H2")
 
@@ -115,6 +116,11 @@ def test_a_ball_ends_where_it_should(model):
     assert told.off[-1] < 1e-4 and told.turned_off[-1] < math.radians(0.1)
     assert told.cones.max() < 0.9 and not told.lost.any() and told.slipped.max() < 1e-4
     assert told.torque_share.max() < 1 and told.room.min() > 0
+
+
+def test_a_ball_that_is_lowered_as_planned_does_not_fall():
+    drake = {**H2.drake, "turn": [], "move": [0, 0, -0.03], "contact_model": "point"}
+    assert not object_report(simulate(H2.replace(duration=0.3, drake=drake))).falls
 
 
 def test_the_command_line_tells_of_a_hand(tmp_path, capsys):
