@@ -16,7 +16,7 @@ from contact_system.terminal import paragraph, table
 
 from .config import require_config
 from .hand_station import HandResult
-from .measures import EDGE, path_slid, time_off
+from .measures import EDGE, durations, path_slid, time_off
 
 Array = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ def hand_lines(result: HandResult) -> Iterable[str]:
     told, plan = hand_report(result), result.plan
     head = [("finger", ""), ("normal force", "N"), ("cone planned", ""), ("cone measured", "")]
     head += (("slip", "mm"), ("off object", "s"), ("spin", "degrees"))
-    normal = result.measured["normal_force"][1:].mean(axis=0)
+    normal = np.average(result.measured["normal_force"], axis=0, weights=durations(result))
     spin = np.abs(np.trapezoid(plan.spin, plan.t, axis=0))
     rows = [
         (

@@ -303,17 +303,26 @@ def path_slid(result: SimulationResult) -> Array:
     """Slip of each contact summed over the time since the last row, while it touches, (m, n), m."""
     slip = np.linalg.norm(result.measured["slip"], axis=2)
     touches = result.measured["normal_force"] > 0
-    return np.diff(result.t, prepend=result.t[0])[:, None] * slip * touches
+    return durations(result)[:, None] * slip * touches
 
 
 def time_off(result: SimulationResult) -> Array:
-    """Time off the object of each contact in the step that ended then, (m, n), s.
+    """Time off the object of each contact in the step that ended then, (m, n), s."""
+    return durations(result)[:, None] * (result.measured["normal_force"] <= 0)
 
-    Every such step is logged; before it there may be others that are not.
+
+def durations(result: SimulationResult) -> Array:
+    """The time that each row stands for, (m,), s.
+
+    Every step with a finger off the object is logged, and stands for itself; of others a row stands
+    for those since the last such row.
     """
-    away = result.measured["normal_force"] <= 0
+    since = np.diff(result.t, prepend=result.t[0])
+    off = (result.measured["normal_force"] <= 0).any(axis=1)
     longest = result.config.time_step or CONTINUOUS.max_step_size
-    return np.minimum(np.diff(result.t, prepend=result.t[0]), longest)[:, None] * away
+    own = np.where(off, np.minimum(since, longest), 0.0)
+    own[~off] = np.diff(np.cumsum(since - own)[~off], prepend=0.0)
+    return own
 
 
 def _misses(result: SimulationResult) -> Array:
@@ -346,24 +355,25 @@ def _rolling(
     speed: Array,
 ) -> dict[str, Any]:
     """Forces of one contact; slip and where it is while nothing has been disturbed yet."""
-    t, before = result.t, early & (result.t >= EDGE)
+    t, before, time = result.t, early & (result.t >= EDGE), durations(result)
     normal, friction = _forces(result, i)
     limit = result.config.friction * normal
-    pressed = (normal > 0.5 * _mean(normal[steady])) & (limit > 0)
+    mean = _mean(normal[steady], time[steady])
+    pressed = (normal > 0.5 * mean) & (limit > 0)
     slip, of_plan = (
         np.linalg.norm(said["slip"][:, i], axis=1) for said in (result.measured, result.planned)
     )
     slips = of_plan > ROLLS * result.scene.speeds(t)[:, i]
     moves = before & ~slips & (speed > STANDING * speed.max())  # a path may start or end at rest
     return {
-        "normal_mean": _mean(normal[steady]),
-        "normal_deviation": float(normal[steady].std()) if steady.any() else math.nan,
+        "normal_mean": mean,
+        "normal_deviation": _mean((normal[steady] - mean) ** 2, time[steady]) ** 0.5,
         "friction_peak": float(friction.max()),
         "friction_ratio": _greatest(friction[pressed] / limit[pressed]),
         "planned_slip": _greatest(of_plan[early]),
-        "plan_slips": float((early & slips) @ np.diff(t, prepend=t[0])),
-        "rolling_friction": _mean(friction[before & ~slips]),
-        "rolling_slip": _mean(slip[moves] / speed[moves]),
+        "plan_slips": float((early & slips) @ time),
+        "rolling_friction": _mean(friction[before & ~slips], time[before & ~slips]),
+        "rolling_slip": _mean(slip[moves] / speed[moves], time[moves]),
         "slip_before": _greatest(slip[before]),
         "distance": _greatest(np.linalg.norm(_misses(result)[before, i], axis=1)),
     }
@@ -378,7 +388,7 @@ def _rejection(
     """What the last disturbance did, if it was seen and is over."""
     t, slip = result.t, np.linalg.norm(result.measured["slip"][:, i], axis=1)
     start, stop = disturbed[-1] if disturbed else (math.inf, math.inf)
-    first, last = np.searchsorted(t, (start, stop))
+    first, last = np.maximum(np.searchsorted(t, (start, stop)), 1)  # no step ended at the first
     # the row after it tells too what it did, and alone of one between two rows
     during, seen = slice(first, max(last, first + 1)), slice(first, last + 1)
     if not (t > stop).any():
@@ -388,13 +398,14 @@ def _rejection(
     # A finger that is off the object, or that nothing holds, has no friction to saturate.
     limit = result.config.friction * normal
     at_limit = (friction >= SATURATED * limit) & (normal > 0)
-    mean, before = _mean(slip[during]), _greatest(slip[early & (t >= EDGE)])
+    time = durations(result)[during]
+    mean, before = _mean(slip[during], time), _greatest(slip[early & (t >= EDGE)])
     level = np.fmax(REJECTED * mean, before)
     sliding = (slip > np.fmax(SLIDING * before, CREEPING)) & (normal > 0)
     slid = bool((at_limit | sliding)[seen].any())
     return {
         "disturbed_slip": mean,
-        "saturated": float((at_limit & (friction > 0))[during].mean()),
+        "saturated": _mean((at_limit & (friction > 0))[during], time),
         "slid": slid,
         "recovery": recovery_time(t, slip, stop, level) if slid else math.nan,
         "reported": result.scene.paper.get("recovery_time", math.nan),
@@ -407,8 +418,9 @@ def _forces(result: SimulationResult, i: int) -> tuple[Array, Array]:
     return result.measured["normal_force"][:, i], np.linalg.norm(tangential, axis=1)
 
 
-def _mean(values: Array) -> float:
-    return float(values.mean()) if len(values) else math.nan
+def _mean(values: NDArray[Any], durations: Array) -> float:
+    """Over time."""
+    return float(np.average(values, weights=durations)) if durations.any() else math.nan
 
 
 def _greatest(values: Array) -> float:

@@ -18,7 +18,7 @@ pytest.importorskip("pydrake")
 
 import contact_system as cs
 from drake_plant import SimulationResult, StationConfig, cli, contact_table, simulate
-from drake_plant.measures import contact_speed, time_off
+from drake_plant.measures import contact_speed, durations, time_off
 
 T = np.linspace(0.0, 4.0, 4001)
 START, STOP = 2.0, 2.5  # of D1's disturbance
@@ -127,12 +127,13 @@ def test_normal_force_is_measured_outside_of_transients():
     assert (finger.normal_mean, finger.normal_deviation) == (1.0, 0.0)
 
 
-def test_time_off_is_that_of_steps_which_end_off_the_object():
+def test_rows_stand_for_steps_that_end_off_the_object_or_all_since_the_last():
     """Logs are 2 ms apart, but for steps of 1 ms off the object."""
     t = np.array([0.0, 0.002, 0.004, 0.005, 0.006])
     normal = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 1.0], [1.0, 1.0]])
     result = SimpleNamespace(t=t, measured={"normal_force": normal}, config=StationConfig())
     assert time_off(result).sum(axis=0) == pytest.approx([0.002, 0.0])
+    assert durations(result) == pytest.approx([0.0, 0.002, 0.001, 0.001, 0.002])
 
 
 def test_rolling_is_measured_before_the_disturbance():
