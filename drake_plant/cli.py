@@ -197,7 +197,7 @@ def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
         ("slip disturbed", "m/s", lambda r: f"{r.disturbed_slip:.2e}"),
         ("greatest before", "m/s", lambda r: _number(r.slip_before, ".2e")),
         ("saturated", "", lambda r: f"{r.saturated:.0%}"),
-        ("recovery", "s", lambda r: _taken(r.recovery)),
+        ("recovery", "s", lambda r: "not yet" if r.recovering else _taken(r.recovery)),
         ("paper", "s", lambda r: _number(r.reported, "g")),
         ("verdict", "", lambda r: r.verdict),
     )
@@ -269,8 +269,10 @@ def _verdict(result: SimulationResult, reports: Sequence[ContactReport]) -> Iter
         yield f"This is not what the paper reports on: {what}."
     elif slid:
         timed = not math.isnan(slid[0].reported)
-        recovered = all(r.verdict in ("as reported", "rejected") for r in slid)
-        yield f"Here slip {'is' if recovered else 'is not'} rejected{' within that time' * timed}."
+        verdicts = {r.verdict for r in slid}
+        how = "is not yet" if "still recovering" in verdicts else "is"
+        how = "is not" if verdicts & {"not as reported", "not rejected"} else how
+        yield f"Here slip {how} rejected{' within that time' * timed}."
     if "lateral_force" in paper:
         names = ", ".join(r.name for r in disturbed if r.saturated > 0)
         happens = f"saturates at {names}" if names else "does not saturate"

@@ -67,8 +67,10 @@ class ContactReport:
     rolling_slip : float
         Mean slip over the speed of the contact point on the object, before the disturbance, while
         the plan rolls and that speed is more than 1e-4 of its greatest.
+    pushed : bool
+        Whether a push on it or on the object began.
     disturbed_slip : float
-        Mean slip during the last disturbance [m/s].
+        Mean slip during the last disturbance that is over [m/s].
     saturated : float
         Part of that time with friction saturated.
     slid : bool
@@ -78,7 +80,10 @@ class ContactReport:
         Greatest slip before any disturbance [m/s].
     recovery : float
         Time from the disturbance's end until slip stays below 5 % of `disturbed_slip`, or below
-        `slip_before` where that is greater [s]; inf if it is above at the end.
+        `slip_before` where that is greater [s]; inf if it is above when that is `followed` no more.
+    followed : float
+        Time from the disturbance's end to the next one of the contact, the next push on it or the
+        object, or the end [s].
     reported : float
         Within how long the paper reports it [s].
     distance : float
@@ -97,11 +102,13 @@ class ContactReport:
     plan_slips: float
     rolling_friction: float
     rolling_slip: float
+    pushed: bool
     disturbed_slip: float
     saturated: float
     slid: bool
     slip_before: float
     recovery: float
+    followed: float
     reported: float
     distance: float
 
@@ -111,15 +118,23 @@ class ContactReport:
         return not math.isnan(self.disturbed_slip)
 
     @property
+    def recovering(self) -> bool:
+        """Whether slip is followed for less than the time reported, and not rejected in that."""
+        return math.isinf(self.recovery) and self.followed < self.reported
+
+    @property
     def as_reported(self) -> bool | None:
         """Whether slip is rejected within the time reported, with all contacts kept.
 
-        None where nothing is to compare: nothing reported, or no slip to be rejected.
+        None where nothing is to compare: nothing reported, no slip to be rejected, or not for long
+        enough.
         """
         if not self.disturbed or math.isnan(self.reported):
             return None
         if not self.kept:
             return False
+        if self.recovering:
+            return None
         return self.recovery <= self.reported if self.slid else None
 
     @property
@@ -127,16 +142,18 @@ class ContactReport:
         """In a word or two.
 
         "came off" the object, or "not kept" where another contact did or the object falls; else
-        "undisturbed", also where the simulation ends before the disturbance; "held", by friction
-        alone; "as reported" or "not as reported"; where nothing is reported "rejected" or
-        "not rejected".
+        "undisturbed", or "pushed", where no disturbance is over by the end; "held", by friction
+        alone; "as reported", "not as reported" or "still recovering"; where nothing is reported
+        "rejected" or "not rejected".
         """
         if not self.kept:
             return "came off" if self.off else "not kept"
         if not self.disturbed:
-            return "undisturbed"
+            return "pushed" if self.pushed else "undisturbed"
         if not self.slid:
             return "held"
+        if self.recovering:
+            return "still recovering"
         if self.as_reported is None:
             return "rejected" if math.isfinite(self.recovery) else "not rejected"
         return "as reported" if self.as_reported else "not as reported"
@@ -387,13 +404,17 @@ def _rejection(
 ) -> dict[str, Any]:
     """What the last disturbance did, if it was seen and is over."""
     t, slip = result.t, np.linalg.norm(result.measured["slip"][:, i], axis=1)
-    start, stop = disturbed[-1] if disturbed else (math.inf, math.inf)
+    bodies = (result.scene.contact_name(i), "object")
+    pushes = [p.start for p in result.config.pushes if p.on in bodies]
+    pushed = any(begin < t[-1] for begin in pushes)
+    over = [window for window in disturbed if window[1] <= t[-1]]
+    start, stop = over[-1] if over else (math.inf, math.inf)
     first, last = np.maximum(np.searchsorted(t, (start, stop)), 1)  # no step ended at the first
     # the row after it tells too what it did, and alone of one between two rows
     during, seen = slice(first, max(last, first + 1)), slice(first, last + 1)
-    if not (t > stop).any():
-        nothing = ("disturbed_slip", "saturated", "recovery", "reported")
-        return dict.fromkeys(nothing, math.nan) | {"slid": False}
+    if not over:
+        nothing = ("disturbed_slip", "saturated", "recovery", "followed", "reported")
+        return dict.fromkeys(nothing, math.nan) | {"slid": False, "pushed": pushed}
     normal, friction = _forces(result, i)
     # A finger that is off the object, or that nothing holds, has no friction to saturate.
     limit = result.config.friction * normal
@@ -403,11 +424,16 @@ def _rejection(
     level = np.fmax(REJECTED * mean, before)
     sliding = (slip > np.fmax(SLIDING * before, CREEPING)) & (normal > 0)
     slid = bool((at_limit | sliding)[seen].any())
+    begins = [*pushes, *(begin for begin, _ in disturbed)]
+    until = min([t[-1], *(begin for begin in begins if begin >= stop)])
+    own = t <= until
     return {
+        "pushed": pushed,
         "disturbed_slip": mean,
         "saturated": _mean((at_limit & (friction > 0))[during], time),
         "slid": slid,
-        "recovery": recovery_time(t, slip, stop, level) if slid else math.nan,
+        "recovery": recovery_time(t[own], slip[own], stop, level) if slid else math.nan,
+        "followed": float(until - stop),
         "reported": result.scene.paper.get("recovery_time", math.nan),
     }
 

@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("pydrake")
 
 import contact_system as cs
-from drake_plant import SimulationResult, StationConfig, cli, contact_table, simulate
+from drake_plant import Push, SimulationResult, StationConfig, cli, contact_table, simulate
 from drake_plant.measures import contact_speed, durations, time_off
 
 T = np.linspace(0.0, 4.0, 4001)
@@ -77,6 +77,19 @@ def test_recovery_is_when_slip_falls_below_a_twentieth(rate):
     assert reports[0].recovery == math.inf and reports[0].as_reported is False
     assert [math.isnan(r.recovery) for r in reports] == [False, True, True]  # not disturbed
     assert reports[0].saturated > 0 and math.isnan(reports[1].saturated)
+
+
+def test_a_disturbance_that_is_over_is_judged_until_the_next():
+    result = made_up(np.where(T > 3.0, 0.05, decaying(40.0)), LIMIT)
+    for push, edges, verdict in (
+        (3.0, [START, STOP], "as reported"),
+        (3.5, [START, STOP, 3.0, 4.5], "as reported"),
+        (3.5, [START, 3.9], "still recovering"),
+    ):
+        result.config.pushes = [Push("finger 1", push, push + 0.1, [1.0, 0.0, 0.0])]
+        both = [cs.ObjectRateOffset(0, *edge, (0.6, 1.0)) for edge in zip(edges[::2], edges[1::2])]
+        result.scene = result.scene.replace(duration=5.0, disturbances=both)
+        assert contact_table(result)[0].verdict == verdict
 
 
 def test_slip_need_not_fall_below_what_it_was_before():
