@@ -57,7 +57,7 @@ class ContactReport:
         Greatest tangential force [N].
     friction_ratio : float
         Greatest tangential force over mu times the momentary normal force, where that is at least
-        half its mean; NaN where mu is 0.
+        half its mean (also in transients, where there is nothing else); NaN where mu is 0.
     planned_slip : float
         Greatest slip of the plan itself before any disturbance [m/s].
     plan_slips : float
@@ -376,7 +376,8 @@ def _rolling(
     normal, friction = _forces(result, i)
     limit = result.config.friction * normal
     mean = _mean(normal[steady], time[steady])
-    pressed = (normal > 0.5 * mean) & (limit > 0)
+    usual = mean if steady.any() else _mean(normal[normal > 0], time[normal > 0])
+    pressed = (normal > 0.5 * usual) & (limit > 0)
     slip, of_plan = (
         np.linalg.norm(said["slip"][:, i], axis=1) for said in (result.measured, result.planned)
     )
