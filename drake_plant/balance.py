@@ -117,6 +117,9 @@ def balancing_forces(
     problem = grasp_map(arms / length, frames), wanted / size, cones, floor / size
     if not all(np.isfinite(x).all() for x in problem):  # Drake would end the process
         raise SceneError("contact forces: give finite numbers")
+    for name, given in (("margin", margin), ("friction", friction), ("least", least)):
+        if np.min(given) < 0:
+            raise SceneError(f"{name} = {given!r}: contacts would pull; give 0 or more")
     forces, left = _solve(*problem)
     if left is not None and strict:
         most = np.abs(left).max(axis=1)
@@ -257,7 +260,7 @@ def _solve(
         inside = LorentzConeConstraint(np.roll(np.diag([1.0, 1.0, cone]), 1, axis=0), np.zeros(3))
         for own in forces[:, i]:
             program.AddConstraint(inside, own)
-    if floor.any():
+    if floor.any() or not cones.all():  # a cone without width has two sides
         above = np.full(m * n, np.inf)
         program.AddBoundingBoxConstraint(np.tile(floor, m), above, forces[..., 2].ravel())
     _add_squares(program, x.reshape(m, -1))
