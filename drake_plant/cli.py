@@ -234,8 +234,8 @@ def _pushes(result: SimulationResult, opened: SimulationResult | None) -> Iterab
     yield from (*table(head, rows, 1), "")
     yield from _explained(
         "Slip: summed while the finger touches, until the next push begins. Farthest, left: of the "
-        "contact point from the planned one, at most and when the next push begins. Of a push on "
-        "the object: of the worst contact."
+        "contact point from the one planned at first, at most and when the next push begins. Of a "
+        "push on the object: of the worst contact."
     )
 
 

@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from contact_system import Scene, plan
 from contact_system.measures import REJECTED, windows
 
+from .balance import pressed_config
 from .config import require_config
 from .contact_monitor import SATURATED
+from .plan_check import exact_plan
+from .pressing import rolling_scene
 from .simulation import CONTINUOUS, SimulationResult, simulate
 
 if TYPE_CHECKING:
@@ -87,8 +90,8 @@ class ContactReport:
     reported : float
         Within how long the paper reports it [s].
     distance : float
-        Greatest distance of the measured contact point from the planned one on the object before
-        any disturbance [m].
+        Greatest distance of the measured contact point from the one planned at first on the object
+        before any disturbance [m].
     """
 
     name: str
@@ -195,7 +198,7 @@ class PushReport:
     off : float
         Time off the object [s].
     farthest, left : float
-        Distance of the contact point from the planned one, at most and at the end [m].
+        Distance of the contact point from the one planned at first, at most and at the end [m].
     """
 
     push: Push
@@ -268,7 +271,7 @@ def push_table(result: SimulationResult) -> list[PushReport]:
     require_config(result, SimulationResult, "result")
     pushes = sorted(result.config.pushes, key=lambda push: push.start)
     names = [result.scene.contact_name(i) for i in range(len(result.scene.contacts))]
-    apart = np.linalg.norm(_misses(result), axis=2)
+    apart = np.linalg.norm(misses(result), axis=2)
     slips, away, reports = path_slid(result), time_off(result), []
     for push in pushes:
         stop = min((p.start for p in pushes if p.start > push.start), default=math.inf)
@@ -302,6 +305,7 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
     early = t < min(edges, default=math.inf)
     steady = (t >= EDGE) & (np.abs(t[:, None] - edges) > EDGE).all(1)
     speed = contact_speed(result.scene, result.planned["state"])
+    apart = np.linalg.norm(misses(result), axis=2)
     off = time_off(result).sum(0)
     kept = not off.any() and not object_report(result).falls
     return [
@@ -309,7 +313,7 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
             name=result.scene.contact_name(i),
             off=float(off[i]),
             kept=kept,
-            **_rolling(result, i, early, steady, speed[:, i]),
+            **_rolling(result, i, early, steady, speed[:, i], apart[:, i]),
             **_rejection(result, i, acting, early),
         )
         for i, acting in enumerate(disturbed)
@@ -342,9 +346,15 @@ def durations(result: SimulationResult) -> Array:
     return own
 
 
-def _misses(result: SimulationResult) -> Array:
-    """From planned to measured contact points on the object, (m, n, 3), m."""
-    return result.measured["contact_point"] - result.planned["contact_point"]
+def misses(result: SimulationResult) -> Array:
+    """From planned to measured contact points on the object, (m, n, 3), m; planned from the start
+    on, where the planner restarts from what is measured."""
+    planned, t = result.planned["contact_point"], result.t
+    if result.config.restarts:
+        scene = rolling_scene(result.scene, pressed_config(result.scene, result.config))
+        first = exact_plan(scene, t[0], b"", t[-1])
+        planned = planned if first is None else first.points(t)[:, :, 1]
+    return result.measured["contact_point"] - planned
 
 
 def contact_speed(scene: Scene, states: Array) -> Array:
@@ -370,6 +380,7 @@ def _rolling(
     early: NDArray[np.bool_],
     steady: NDArray[np.bool_],
     speed: Array,
+    apart: Array,
 ) -> dict[str, Any]:
     """Forces of one contact; slip and where it is while nothing has been disturbed yet."""
     t, before, time = result.t, early & (result.t >= EDGE), durations(result)
@@ -393,7 +404,7 @@ def _rolling(
         "rolling_friction": _mean(friction[before & ~slips], time[before & ~slips]),
         "rolling_slip": _mean(slip[moves] / speed[moves], time[moves]),
         "slip_before": _greatest(slip[before]),
-        "distance": _greatest(np.linalg.norm(_misses(result)[before, i], axis=1)),
+        "distance": _greatest(apart[before]),
     }
 
 

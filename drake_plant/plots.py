@@ -21,6 +21,7 @@ from contact_system.plots.meshes import mesh_of
 from contact_system.plots.style import DISTURBED, INK, RECOVERY, colour_of
 
 from .config import require_config
+from .measures import misses
 from .simulation import SimulationResult
 
 Array = NDArray[np.float64]
@@ -126,8 +127,7 @@ def _draw_force(ax: Any, t: Array, forces: Array, wanted: Array, top: float) -> 
 
 
 def _draw_distance(ax: Any, result: SimulationResult, closed: bool = True) -> None:
-    apart = result.measured["contact_point"] - result.planned["contact_point"]
-    for i, distance in enumerate(1e3 * np.linalg.norm(apart, axis=2).T):
+    for i, distance in enumerate(1e3 * np.linalg.norm(misses(result), axis=2).T):
         line = {"linewidth": 1.2, "linestyle": "-" if closed else ":"}
         ax.plot(result.t, distance, color=colour_of(i), **line)
     ax.set_title("Measured contact point from the planned one", loc="left", weight="bold")

@@ -38,6 +38,7 @@ from drake_plant import (
     SetInitialState,
     StationConfig,
     outcome,
+    push_table,
     rolling_scene,
     simulate,
 )
@@ -224,6 +225,7 @@ def test_restarts_under_a_push_are_no_kick():
         for result in (often, opened)
     ]
     assert np.abs(apart[0]).max() < np.abs(apart[1]).max()
+    assert push_table(often)[0].farthest > push_table(opened)[0].farthest  # from the first plan
 
 
 def shortly(friction):
