@@ -20,7 +20,7 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 
-from contact_system import Scene
+from contact_system import Plan, Scene
 from contact_system.checks import finite_number
 from contact_system.errors import SceneError
 from contact_system.starts import on_branch
@@ -279,17 +279,22 @@ class ContactPlanner(_Convertible, LeafSystem):
             numbers[1], numbers[2:] = context.get_time(), state
         self.get_cache_entry(self._begun).Eval(context).SetFromVector(numbers)
 
-    def _CheckDrift(self, context: Any) -> None:
+    def _Exact(self, context: Any) -> Plan | None:
+        """The plan from where contacts began, where it is known now."""
         begun = self.get_cache_entry(self._begun).Eval(context).value()
-        t, scene, port = context.get_time(), self.system.scene, self._disturbance
+        t, port = context.get_time(), self._disturbance
         # nobody has initialized this one, or knows what comes
         if not begun[0] or (port is not None and port.HasValue(context)):
-            return
+            return None
         state = begun[2:].tobytes() if begun[0] == 2.0 else b""
-        plan = self._exact(float(begun[1]), state, max(t, scene.duration))
-        if plan is not None and plan.start <= t <= plan.end:
-            points = self._Numbers(context, "contact_point")
-            refuse_drift(scene, plan, t, points, self._tolerance)
+        plan = self._exact(float(begun[1]), state, max(t, self.system.scene.duration))
+        return plan if plan is not None and plan.start <= t <= plan.end else None
+
+    def _CheckDrift(self, context: Any) -> None:
+        plan = self._Exact(context)
+        if plan is not None:
+            points, t = self._Numbers(context, "contact_point"), context.get_time()
+            refuse_drift(self.system.scene, plan, t, points, self._tolerance)
 
     # --- what Drake calls ----------------------------------------------------------------------
 
@@ -350,10 +355,17 @@ class ContactPlanner(_Convertible, LeafSystem):
             there = system.evaluate("contact_point", *now)
             apart = there - self._Numbers(context, "contact_point")
             chosen &= np.linalg.norm(apart.reshape(-1, 6)[:, 3:], axis=1) > limit
+        if not chosen.any():
+            return
+        # Drift of the others is still what they are off the plan that they began with.
+        plan = None if chosen.all() else self._Exact(context)
         for i in np.flatnonzero(chosen):
             states, kept = system.state_slices[i], system.held_slices[i]
             own.x[states], own.held[kept] = x[states], held[kept]
-        self._Follow(context, own.evaluate("state"))
+        follow = own.evaluate("state").reshape(-1, 9)
+        if plan is not None:
+            follow[~chosen] = plan.states(context.get_time())[0][~chosen]
+        self._Follow(context, follow.ravel())
         state.get_mutable_continuous_state().SetFromVector(own.x)
         restarts = state.get_mutable_discrete_state(self._restarts)
         restarts.SetFromVector(restarts.value() + chosen)
