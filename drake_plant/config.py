@@ -310,6 +310,8 @@ class StationConfig:
         self.hand.check(len(scene.contacts))
         if self.object != "free" or not self.time_step:
             raise SceneError('hand: it needs object = "free" and a time_step above 0')
+        if scene.disturbances:
+            raise SceneError("disturbances: a hand does not follow them; leave them out, or push")
         if self.forces == "constant":
             raise SceneError('forces = "constant": with a hand they balance; leave it out')
 

@@ -13,6 +13,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from scipy.interpolate import make_interp_spline
 
+from contact_system.checks import finite_number
+
 from .config import require_config
 from .contact_monitor import ContactMonitor
 from .hand_driver import HandDriver
@@ -93,7 +95,9 @@ def simulate_hand(
         "torque": lambda: torques.Eval(own),
     }
     log = Log(station, root, parts, asked, LOGGED)
-    ended = log.follow(simulator, plan.scene.duration if duration is None else duration, progress)
+    duration = plan.scene.duration if duration is None else duration
+    finite_number(duration, f"{plan.scene.title}: duration", "above 0")
+    ended = log.follow(simulator, duration, progress)
     t, said = log.read()
     result = HandResult(
         plan.rolling,

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from contact_system import Ellipsoid, Goal, Scene, SceneError, Sphere, reach
 from contact_system import plan as make_plan
-from contact_system.checks import naming
+from contact_system.checks import naming, shaped_array
 from contact_system.contact_sensor import FOUND, NORMAL, ON_FINGER, ON_OBJECT, SLIP, STATES
 
 from .balance import balancing_forces, friction_used, needed_wrench
@@ -33,6 +33,7 @@ MOST_NODES = 2000
 BETWEEN = 1e-4  # rad or m, that joints are off their way half-way between two nodes
 FREE = 6  # joints of a finger that leave the pose of its tip free
 LEG_NODES = 33  # least times of a plan on legs, which are four at most
+SKEW = 1e-9  # that a rotation matrix may have
 BEGIN, END = 0.1, 0.75  # of the duration, when the object begins to move, and rests
 
 
@@ -179,7 +180,7 @@ def plan_reorientation(
         chains = Chains(hand, rolling, config.finger_mass, config.gravity)
         t = np.linspace(BEGIN * scene.duration, END * scene.duration, NODES)
         if path is None:
-            goal = goal_of(config) if X_WO_goal is None else RigidTransform(X_WO_goal)
+            goal = goal_of(config) if X_WO_goal is None else _pose(X_WO_goal)
             path = ShortestPath(RigidTransform(), goal, t[0], t[-1])
         else:
             t = np.linspace(0, scene.duration, 2 * NODES)
@@ -189,6 +190,17 @@ def plan_reorientation(
             t, q, v, route = _routed(chains, path, t, q)
         chains.refuse_limits(t, q)
         return _completed(hand, scene, config, path, chains, route, t, q, v)
+
+
+def _pose(X_WO_goal: Any) -> RigidTransform:
+    """The goal as Drake has it, who takes any matrix for one."""
+    if isinstance(X_WO_goal, (RigidTransform, RotationMatrix)):
+        X_WO_goal = RigidTransform(X_WO_goal).GetAsMatrix4()
+    X = shaped_array(X_WO_goal, "X_WO_goal", (4, 4))
+    turns = np.allclose(X[:3, :3] @ X[:3, :3].T, np.eye(3), atol=SKEW) and np.linalg.det(X) > 0
+    if not (turns and np.isfinite(X).all() and (X[3] == [0, 0, 0, 1]).all()):
+        raise SceneError(f"X_WO_goal = {X.tolist()}: give a rotation, a translation and 0, 0, 0, 1")
+    return RigidTransform(X)
 
 
 def _resolved(chains: Chains, path: Any, t: Array) -> tuple[Array, Array, Array]:
