@@ -154,8 +154,8 @@ def simulate(
     Raises
     ------
     SceneError
-        A duration shorter than a time step, not finite, or with ``coordinates = "plan"`` beyond the
-        scene's; a recording in a folder that does not exist; what :func:`BuildStation` raises.
+        A duration shorter than a time step, not finite, or beyond the scene's where there is no
+        plan, or with ``coordinates = "plan"``; a recording in a folder that does not exist; what :func:`BuildStation` raises.
     """
     gc.collect()  # Diagrams are cycles: free those of runs before this one
     config = checked(scene, config)
@@ -192,7 +192,9 @@ def simulate(
         return simulate_hand(planned_hand, duration, progress, film, recording)
 
     begun = time.perf_counter()
-    station, parts = build(scene, config, None if film is None else film.Add)
+    # meshes have to reach as far as contacts go
+    whole = scene if duration <= scene.duration else scene.replace(duration=duration)
+    station, parts = build(whole, config, None if film is None else film.Add)
     simulator = Simulator(station)
     ApplySimulatorConfig(INTEGRATION if config.time_step else CONTINUOUS, simulator)
     context = simulator.get_mutable_context()
