@@ -9,6 +9,7 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from contact_system import Scene
+from contact_system.checks import finite_number
 
 from .config import Push, body_names, check_pushes
 from .plant import AGES
@@ -33,12 +34,14 @@ def PushSource(scene: Scene, pushes: Sequence[Push], time_step: float = 0.0) -> 
         A push on something that the scene has not, or a wrong number.
     """
     check_pushes(scene, pushes)
+    finite_number(time_step, f"{scene.title}: time_step", "not below 0")
     names = body_names(scene)
     edges = np.array([0.0, *(p.start for p in pushes), *(p.stop for p in pushes)])
     if time_step:
         steps = np.floor(edges / time_step + 1e-6)
         edges = time_step * np.concatenate([steps, steps + 1])
-    edges = np.append(np.unique(edges), AGES)
+    edges = np.unique(edges)  # and of those that rounding tells apart one
+    edges = np.append(edges[np.diff(edges, prepend=-1.0) > 2 * EARLY], AGES)
     forces = np.zeros((len(edges), len(names), 3))
     for push in pushes:
         acting = np.diff(np.clip(edges, push.start, push.stop)) / np.diff(edges)

@@ -155,7 +155,8 @@ def simulate(
     ------
     SceneError
         A duration shorter than a time step, not finite, or beyond the scene's where there is no
-        plan, or with ``coordinates = "plan"``; a recording in a folder that does not exist; what :func:`BuildStation` raises.
+        plan, or with ``coordinates = "plan"``; a recording in a folder that does not exist; what
+        :func:`BuildStation` raises.
     """
     gc.collect()  # Diagrams are cycles: free those of runs before this one
     config = checked(scene, config)
