@@ -28,7 +28,7 @@ from contact_system.archives import opened, unpack
 from contact_system.checks import a_path, did_you_mean
 from contact_system.errors import ContactSystemError
 
-from .fmu_contents import PortVariables, carried, library_of, read_description
+from .fmu_contents import PortVariables, carried, library_of, read_description, size_of
 
 Array = np.ndarray
 Names = str | Sequence[str]
@@ -148,11 +148,23 @@ class Instance:
 
     def prepare(self, start_values: Mapping[str, Any], outputs: list[PortVariables]) -> None:
         """Say what initialization sets, and what is read after it and each step."""
-        known = [v.name for v in self.description.modelVariables]
-        for name in start_values:
+        known = {v.name: v for v in self.description.modelVariables}
+        for name, value in start_values.items():
             if name not in known:
                 self._refuse_name(name, known)
+            self._check_start(known[name], value)
         self._start_values, self._outputs = start_values, outputs
+
+    def _check_start(self, variable: Any, value: Any) -> None:
+        """Refuse numbers that fmpy would wrap or cut; all else it checks."""
+        given = np.ravel([] if isinstance(value, (str, tuple)) else value)
+        if given.dtype == object and all(isinstance(x, int) for x in given):
+            given = given.astype(float)
+        if not carried(variable) or given.dtype.kind not in "biuf":
+            return
+        if len(given) == size_of(variable):
+            if problem := PortVariables([variable], self.version).check(given):
+                raise ContactSystemError(f"{self.name}, start_values: {problem}; give one that is")
 
     # --- life
 

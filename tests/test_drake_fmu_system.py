@@ -465,6 +465,7 @@ def test_an_unknown_variable_is_refused_with_the_nearest(build):
         ({"inputs": "x[1]"}, r"no numeric input variable 'x\[1\]'"),
         ({"outputs": "label"}, "no numeric output variable 'label'"),
         ({"start_values": {"count": 1}}, "count cannot be set at the start"),
+        ({"start_values": {"on": 2}}, "on = 2, is not of type Boolean"),
         ({"start_values": {"gain": "high"}}, "initialization failed .*'high'"),
         ({"outputs": {"": "x"}}, "'' in outputs is no port name: give a text"),
     ):
