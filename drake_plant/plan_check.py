@@ -96,7 +96,7 @@ def refuse_singularity(system: SceneSystem, t: Array, x: Array, w: Array, held: 
     i, side = divmod(int(np.argmin(values)), 2)
     surface = scene.object if side else scene.contacts[i].finger
     where = surface.chart.singular_at or "pole"
-    remedy = 'use ContactPlanner(scene, coordinates="frame"), which has no such points'
+    remedy = 'use coordinates="frame" (of ContactPlanner, or [drake]), which has no such points'
     remedy += ", or smaller steps if the motion does not lead there"
     if system.coordinates == "frame":
         remedy = "move the contact away from that point, or turn the body's axes"
