@@ -40,7 +40,7 @@ class ObjectAcceleration(LeafSystem):
     Raises
     ------
     SceneError
-        An object on joints.
+        An object on joints, or with others in its model instance.
     """
 
     __slots__ = NO_DICTIONARY
@@ -50,10 +50,13 @@ class ObjectAcceleration(LeafSystem):
         plant, body = scene_plant.plant, scene_plant.object_body
         self._free = body.is_floating_base_body()
         size = plant.num_velocities(body.model_instance())
-        if size != 6 * self._free or not (self._free or plant.IsAnchored(body)):
+        alone = size == 6 * self._free
+        if not alone or not (self._free or plant.IsAnchored(body)):
+            why = "on a joint is not known beforehand; give a time step, such as 0.001 s"
+            if self._free:
+                why = "among others is not told; give the object a model instance of its own"
             raise SceneError(
-                f"{scene_plant.scene.title}: time_step = 0: the acceleration of an object on a "
-                "joint is not known beforehand; give a time step, such as 0.001 s"
+                f"{scene_plant.scene.title}: time_step = 0: the acceleration of an object {why}"
             )
         self._index, self._count = int(body.index()), plant.num_bodies()
         inertia = body.default_spatial_inertia()
