@@ -78,7 +78,10 @@ class ChartDomain:
 
     def __init__(self, surface: Surface, curve: Array, margin: float, opposing: float):
         self.surface, self.periods = surface, surface.periods()
-        u, v, _ = surface.unwind(*surface.coordinates(curve))
+        u, v = (
+            w if period is None else np.unwrap(w, period=period)
+            for w, period in zip(surface.coordinates(curve), self.periods)
+        )
         metric = surface.metric_root(u, v)
         form = surface.curvature_form(u, v) + opposing * np.eye(2)
         gap = np.abs(np.nanmean(metric.swapaxes(-1, -2) @ form @ metric, axis=0))

@@ -126,7 +126,7 @@ def test_planning_bundled_surfaces_loads_no_symbols():
             for body in (scene.object, *(contact.finger for contact in scene.contacts)):
                 at = body.canonical(0.7, 0.4)
                 body.christoffel(*at), body.curvature_form(*at), body.torsion_form(*at)
-                body.coordinates(body.point(*at)), body.unwind([0.1, 0.2], 0.3)
+                body.coordinates(body.point(*at))
             planned += 1
         print(planned)
     """)

@@ -257,26 +257,6 @@ def test_align_takes_the_nearest_of_all_representatives():
     u, v, half_turn = Torus(0.1, 0.03).align([3.0, 0.1], 0.0, [-3.0, 0.2], 2 * pi)
     assert np.allclose(u, [3.0 - 2 * pi, 0.1]) and np.allclose(v, 2 * pi)
     assert not np.any(half_turn)
-    for surface in (Torus(0.1, 0.03), Ellipsoid(0.3, 0.2, 0.1)):
-        assert surface.unwind(7.0, 0.2) == (7.0, 0.2, False)  # one point is unwound already
-
-
-def test_unwind_makes_a_path_over_the_seam_continuous():
-    surface = Ellipsoid(0.3, 0.2, 0.1)
-    t = np.linspace(0, 4 * pi, 400)
-    tilted = np.stack([0.9 * np.cos(t), np.sin(t) * 0.3 + 0.1, 0.8 * np.sin(t + 0.4)], axis=-1)
-    x = tilted / np.linalg.norm(tilted / [0.3, 0.2, 0.1], axis=1)[:, None]
-    principal = surface.coordinates(x)
-    u, v, half_turn = surface.unwind(*principal)
-    assert np.any(half_turn) and np.max(np.abs(np.diff(np.stack([u, v])))) < 0.3
-    assert np.max(np.abs(np.diff(principal[0]))) > 1
-    assert np.allclose(surface.point(u, v), x, atol=1e-15)
-    signs = np.where(half_turn, -1, 1)[:, None]
-    assert np.allclose(surface.frame(u, v)[..., 0], signs * surface.frame(*principal)[..., 0])
-    ref_u, ref_v = principal[0][0], principal[1][0]
-    for i in range(len(t)):
-        ref_u, ref_v, turned = surface.align(principal[0][i], principal[1][i], ref_u, ref_v)
-        assert np.isclose(ref_u, u[i]) and np.isclose(ref_v, v[i]) and turned == half_turn[i]
 
 
 # --- identity, shapes

@@ -343,25 +343,6 @@ class Surface:
         u_near, v_near = np.where(half_turn, [other_u, other_v], [near_u, near_v])
         return u_near, v_near, half_turn
 
-    def unwind(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return coordinates made continuous along axis 0, starting from the first as given.
-
-        Equal to `align` of each sample to the one before it. Samples must be so close that the
-        nearest representative is the right one. Returns as `align`.
-        """
-        u, v = self._numbers(u, v)
-        half_turn = np.zeros(u.shape, dtype=bool)
-        if self.double_cover and u.ndim:
-            # half turns relative to the neighbour add up
-            step = self.align(u[1:], v[1:], u[:-1], v[:-1])[2]
-            half_turn[1:] = np.logical_xor.accumulate(step, axis=0)
-            u, v = np.where(half_turn, -u, u), np.where(half_turn, math.pi - v, v)
-        u, v = (
-            w if period is None or not w.ndim else np.unwrap(w, period=period, axis=0)
-            for w, period in zip((u, v), self.periods())
-        )
-        return u, v, half_turn
-
     def _wrap(self, u: Any, v: Any) -> tuple[Any, Any]:
         return self.chart.wrap(u, v)
 
