@@ -95,15 +95,6 @@ def test_an_edge_on_a_sample_time_is_sampled_once(edge):
     assert {0.0, edge, 0.8, 1.0} <= set(times)
 
 
-@pytest.mark.parametrize("count", [0, -1, 2.5, "9", True])
-def test_a_count_of_times_is_a_whole_number(count):
-    with pytest.raises(cs.ContactSystemError, match=f"count = {count!r}: give a whole number"):
-        cs.plan(one_contact()).sample_times(count)
-
-
-# --- many contacts
-
-
 def test_contacts_together_move_as_each_alone():
     scene, t = several(), np.linspace(0, 1, 41)
     together = cs.plan(scene)

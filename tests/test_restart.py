@@ -272,16 +272,6 @@ def test_files_in_a_folder_that_is_missing_are_refused_by_name(name, tmp_path):
         save(tmp_path / "missing" / name)
 
 
-@pytest.mark.parametrize("path", [None, 3, "a\0.npz", cs.load_scene("C2")])
-def test_what_is_no_path_is_refused(path):
-    plan = cs.plan(cs.load_scene("C2"))
-    for write in (plan.save, functools.partial(cs.save_scene, plan.scene)):
-        with pytest.raises(cs.ContactSystemError, match="path = .*: give a path"):
-            write(path)
-    with pytest.raises(cs.ContactSystemError, match="scene = 'C2.toml': give a Scene"):
-        cs.save_scene("C2.toml", path)
-
-
 def test_a_damaged_file_is_read_or_refused(tmp_path):
     cs.plan(one_contact()).save(tmp_path / "plan.npz", [0.0])
     content, rng = (tmp_path / "plan.npz").read_bytes(), np.random.default_rng(1)
