@@ -130,6 +130,11 @@ class Chains:
             raise SceneError(
                 "hand: a joint has more than one degree of freedom; give revolute ones"
             )
+        if plant.num_constraints():
+            raise SceneError(
+                "hand: joints of the model are coupled, as mimic joints are; give a model whose "
+                "joints move each by itself"
+            )
         moving.sort(key=lambda joint: joint.position_start())
         self.names = [joint.name() for joint in moving]
         limits = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
@@ -184,9 +189,10 @@ class Chains:
         ]
 
     def carrying(self, a: Array) -> Array:
-        """Torques (nq,) that accelerate the joints so, against gravity."""
-        needed = self.plant.CalcInverseDynamics(self.context, a, MultibodyForces(self.plant))
-        return needed - self.plant.CalcGravityGeneralizedForces(self.context)
+        """Torques (nq,) that accelerate the joints so, against gravity, springs and damping."""
+        forces = MultibodyForces(self.plant)
+        self.plant.CalcForceElementsContribution(self.context, forces)
+        return self.plant.CalcInverseDynamics(self.context, a, forces)
 
     def touch(self, i: int, X_WO: RigidTransform, twist: Any = 0.0) -> Array:
         """What a probe finds of a tip and the object (see :class:`Probe`), (40,), not to be kept.
@@ -314,5 +320,8 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def _least(J: Array, v: Array, free: Array) -> Array:
-    """Of velocities with J q' = v those nearest to others."""
-    return free + J.T @ np.linalg.solve(J @ J.T, v - J @ free)
+    """Of velocities with J q' = v, or nearly so where a finger is straight, those nearest to
+    others."""
+    square = J @ J.T
+    square += 1e-12 * np.trace(square) * np.eye(len(square))
+    return free + J.T @ np.linalg.solve(square, v - J @ free)

@@ -32,7 +32,8 @@ class HandReport:
     slipped, lost : (n,)
         Slip summed while touching, m, and time off the object, s.
     cones_planned, cones : (n,)
-        The greatest part of a friction cone that is used; measured outside pushes and 0.1 s after.
+        The greatest part of a friction cone that is used; measured outside pushes and 0.1 s after,
+        NaN if the finger never touches then.
     torque_share : (nq,)
         Greatest torque over its limit, in plan and run.
     room : (nq,)
@@ -58,6 +59,8 @@ def hand_report(result: HandResult) -> HandReport:
     pushed = np.zeros(len(t), bool)
     for push in result.config.pushes:
         pushed |= (t >= push.start) & (t < push.stop + EDGE)
+    used = result.measured["friction_used"][~pushed]
+    seen = np.isfinite(used).any(axis=0)
     torques, q = np.vstack([plan.torques, result.torque]), np.vstack([plan.q, result.q])
     room = np.minimum(q - chains.lower, chains.upper - q).min(axis=0)
     return HandReport(
@@ -66,7 +69,7 @@ def hand_report(result: HandResult) -> HandReport:
         slipped=path_slid(result).sum(axis=0),
         lost=time_off(result).sum(axis=0),
         cones_planned=plan.cones.max(axis=0),
-        cones=np.nanmax(result.measured["friction_used"][~pushed], axis=0, initial=0.0),
+        cones=np.where(seen, np.nanmax(used, axis=0, initial=0.0), np.nan),
         torque_share=(np.abs(torques) / chains.effort).max(axis=0),
         room=room,
     )
@@ -84,7 +87,7 @@ def hand_lines(result: HandResult) -> Iterable[str]:
             result.scene.contact_name(i),
             f"{normal[i]:.3f}",
             f"{told.cones_planned[i]:.1%}",
-            f"{told.cones[i]:.1%}",
+            "-" if math.isnan(told.cones[i]) else f"{told.cones[i]:.1%}",
             f"{1e3 * told.slipped[i]:.3f}",
             f"{told.lost[i]:.3f}",
             f"{math.degrees(spin[i]):.1f}",

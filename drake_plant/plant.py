@@ -233,13 +233,13 @@ def _add(
     for i, (contact, touch) in enumerate(zip(scene.contacts, touches)):
         colour = rgba(colour_of(i), OPACITY)
         fingers.append(_add_finger(plant, names[i], contact.finger, config, touch, colour))
-    carried = CollisionFilterDeclaration()
+    touching = [plant.GetCollisionGeometriesForBody(body) for body in (object_body, *fingers)]
+    carried = CollisionFilterDeclaration().ExcludeWithin(GeometrySet(sum(touching[1:], [])))
     if config.hand is not None:
         links = add_hand(plant, config.hand, scene, fingers)
         carried.ExcludeWithin(links)
-        carried.ExcludeBetween(links, GeometrySet(plant.GetCollisionGeometriesForBody(object_body)))
-    geometries = [g for body in fingers for g in plant.GetCollisionGeometriesForBody(body)]
-    scene_graph.collision_filter_manager().Apply(carried.ExcludeWithin(GeometrySet(geometries)))
+        carried.ExcludeBetween(links, GeometrySet(sum(touching, [])))
+    scene_graph.collision_filter_manager().Apply(carried)
     if config.object == "welded":
         plant.WeldFrames(plant.world_frame(), object_body.body_frame())
     turning = scene.turning if config.object == "turning" else None

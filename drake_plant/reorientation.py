@@ -173,9 +173,10 @@ def plan_reorientation(
     require_config(hand, Hand, "hand")
     if config is None:
         config = StationConfig.from_scene(scene)
+    require_config(config, StationConfig)
     config = dataclasses.replace(config, hand=hand)
     with naming(scene.title):
-        hand.check(len(scene.contacts))
+        config.check(scene)
         rolling = rolling_scene(scene, config)
         chains = Chains(hand, rolling, config.finger_mass, config.gravity)
         t = np.linspace(BEGIN * scene.duration, END * scene.duration, NODES)
