@@ -88,8 +88,11 @@ def is_hidden(mesh: Mesh | None, view: np.ndarray, points: np.ndarray) -> np.nda
     nearer = beta * b[:, 2] + gamma * c[:, 2] - np.stack([zero, zero, one])
     slopes = np.stack([beta, gamma, -beta - gamma, nearer])
     offsets = np.stack([zero, zero, one, -slack * one]) - np.einsum("kim,mi->km", slopes, a)
-    for first in range(0, len(points), 16):  # so few that all stays in the processor's cache
-        covers = points[first : first + 16] @ view @ slopes + offsets[:, None] >= 0
+    low, high = corners[across, :, :2].min(1), corners[across, :, :2].max(1)
+    for first in range(0, len(points), 16):  # neighbours, which few triangles are near to
+        seen = points[first : first + 16] @ view
+        near = ((low <= seen[:, :2].max(0)) & (high >= seen[:, :2].min(0))).all(1)
+        covers = seen @ slopes[:, :, near] + offsets[:, None, near] >= 0
         hidden[first : first + 16] = covers.all(0).any(1)
     return hidden
 
@@ -115,11 +118,12 @@ def _draw_surface(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
 
 def _draw_chart_lines(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
     step = CELLS // 12
-    for line in (*mesh.grid[::step], *mesh.grid.T[::step]):
-        x, shown = mesh.points[line], mesh.normals[line] @ view[:, 2] > 0
+    for lines in (mesh.grid[::step], mesh.grid.T[::step]):
+        x, shown = mesh.points[lines], mesh.normals[lines] @ view[:, 2] > 0
         shown[shown] = ~is_hidden(mesh, view, x[shown])
-        for run in _runs(shown):
-            ax.plot(*(x[run] @ view).T[:2], color="white", linewidth=0.7, alpha=0.75, zorder=2)
+        for line, chosen in zip(x @ view, shown):
+            for run in _runs(chosen):
+                ax.plot(*line[run].T[:2], color="white", linewidth=0.7, alpha=0.75, zorder=2)
 
 
 def _draw_outline(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
