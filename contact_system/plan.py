@@ -439,7 +439,7 @@ class Plan:
         grid, spacing = np.linspace(self.start, self.end, count, retstep=True)
         edges = np.array([e for e in self.scene.edges if e >= self.start])
         same = (np.abs(grid[:, None] - edges) < 1e-9 * spacing).any(axis=1)
-        return np.union1d(grid[~same], edges)
+        return each_once(grid[~same], edges)
 
     def regular_times(self, t: ArrayLike) -> np.ndarray:
         """The times, s, without those at which :meth:`states` raises a ChartSingularity: (m,)."""
@@ -452,10 +452,9 @@ class Plan:
         names = ["t [s]", "contact", *"u1 v1 du1 dv1 u2 v2 du2 dv2".split(), "psi [rad]"]
         writer.writerow([*names, "slip x [m/s]", "slip y [m/s]", "slip [m/s]"])
         states, slip = self.states(t), self.slip(t)
-        for k, time in enumerate(t):
-            for i in range(len(self.scene.contacts)):
-                numbers = [*states[k, i], *slip[k, i], np.hypot(*slip[k, i])]
-                writer.writerow([repr(float(time)), i, *(repr(float(x)) for x in numbers)])
+        table = np.concatenate([states, slip, np.hypot(*slip.T).T[..., None]], axis=2)
+        for time, rows in zip(t.tolist(), table.tolist()):
+            writer.writerows([time, i, *row] for i, row in enumerate(rows))
         return text.getvalue()
 
     # --- inside ----------------------------------------------------------------------------------
@@ -497,6 +496,12 @@ def checked_tolerance(value: Any) -> float:
     if not 1e-15 <= number <= 0.1:
         raise SceneError(f"tolerance = {value!r}: give a number from 1e-15 to 1e-1")
     return number
+
+
+def each_once(*times: ArrayLike) -> np.ndarray:
+    """All the times, ascending: (n,). numpy's unique would first import its masked arrays."""
+    t = np.sort(np.concatenate(times))
+    return t[np.append(True, t[1:] != t[:-1])]
 
 
 def _one_axis(t: ArrayLike) -> np.ndarray:
