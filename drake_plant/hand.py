@@ -64,7 +64,7 @@ class Hand:
         The model's frames that carry fingertips, in the order of the contacts; the origin of a
         fingertip's surface is put there.
     base : list of float
-        Where the model's root is in the world, m, at the scene's start; the object is at the
+        Where the model's origin is in the world, m, at the scene's start; the object is at the
         origin.
     pad : float
         How far from the middle of its pad, the scene's ``finger_at``, a fingertip may touch, m.

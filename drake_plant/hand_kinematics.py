@@ -61,10 +61,14 @@ def add_model(plant: MultibodyPlant, hand: Hand, scene: Scene) -> ModelInstanceI
     if len(instances) != 1:
         raise SceneError(f"hand: model = {hand.model!r}: give a file with one model")
     carried = {plant.get_joint(j).child_body().index() for j in plant.GetJointIndices()}
-    for index in plant.GetBodyIndices(instances[0]):
-        if index not in carried:
-            frame = plant.get_body(index).body_frame()
-            plant.WeldFrames(plant.world_frame(), frame, RigidTransform(hand.base))
+    roots = [plant.get_body(i) for i in plant.GetBodyIndices(instances[0]) if i not in carried]
+    if not roots and hand.base != Hand().base:
+        raise SceneError(
+            f"hand: base = {hand.base!r}: the model's file fixes it to the world; leave base out"
+        )
+    for root in roots:
+        X_MR = plant.GetDefaultFloatingBaseBodyPose(root)  # in the model
+        plant.WeldFrames(plant.world_frame(), root.body_frame(), RigidTransform(hand.base) @ X_MR)
     return instances[0]
 
 

@@ -174,6 +174,8 @@ def plan_reorientation(
     if config is None:
         config = StationConfig.from_scene(scene)
     require_config(config, StationConfig)
+    if path is not None and X_WO_goal is not None:
+        raise SceneError(f"{scene.title}: X_WO_goal: a path ends at its own pose; give one of both")
     config = dataclasses.replace(config, hand=hand)
     with naming(scene.title):
         config.check(scene)
