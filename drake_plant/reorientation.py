@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from contact_system import Ellipsoid, Goal, Scene, SceneError, Sphere, reach
 from contact_system import plan as make_plan
-from contact_system.checks import naming, shaped_array
+from contact_system.checks import naming, rigid_motion, shaped_array
 from contact_system.contact_sensor import FOUND, NORMAL, ON_FINGER, ON_OBJECT, SLIP, STATES
 
 from .balance import balancing_forces, friction_used, needed_wrench
@@ -200,10 +200,7 @@ def _pose(X_WO_goal: Any) -> RigidTransform:
     if isinstance(X_WO_goal, (RigidTransform, RotationMatrix)):
         X_WO_goal = RigidTransform(X_WO_goal).GetAsMatrix4()
     X = shaped_array(X_WO_goal, "X_WO_goal", (4, 4))
-    turns = np.allclose(X[:3, :3] @ X[:3, :3].T, np.eye(3), atol=SKEW) and np.linalg.det(X) > 0
-    if not (turns and np.isfinite(X).all() and (X[3] == [0, 0, 0, 1]).all()):
-        raise SceneError(f"X_WO_goal = {X.tolist()}: give a rotation, a translation and 0, 0, 0, 1")
-    return RigidTransform(X)
+    return RigidTransform(rigid_motion(X, "X_WO_goal", SKEW, meaning="where the object is to be"))
 
 
 def _resolved(chains: Chains, path: Any, t: Array) -> tuple[Array, Array, Array]:
