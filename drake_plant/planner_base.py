@@ -17,7 +17,7 @@ from .lifetimes import NO_DICTIONARY, weakly
 from .scalars import select
 
 EARLY = 1e-9
-"""A restart happens so much before its time, s, as sums of steps may come as late by rounding."""
+"""Restarts and pushes happen so much before their time, s, as a step may come late by rounding."""
 ONCE = 1e9
 """Period of an event that happens once, s."""
 PORTS = {

@@ -12,9 +12,8 @@ from contact_system import Scene
 from contact_system.checks import finite_number
 
 from .config import Push, body_names, check_pushes
+from .planner_base import EARLY
 from .plant import AGES
-
-EARLY = 1e-9  # s, by which a push begins and ends before its time: a step may come as late
 
 
 def PushSource(scene: Scene, pushes: Sequence[Push], time_step: float = 0.0) -> TrajectorySource:
@@ -40,7 +39,7 @@ def PushSource(scene: Scene, pushes: Sequence[Push], time_step: float = 0.0) -> 
     if time_step:
         steps = np.floor(edges / time_step + 1e-6)
         edges = time_step * np.concatenate([steps, steps + 1])
-    edges = np.unique(edges)  # and of those that rounding tells apart one
+    edges = np.unique(edges)  # those that differ by rounding alone count once
     edges = np.append(edges[np.diff(edges, prepend=-1.0) > 2 * EARLY], AGES)
     forces = np.zeros((len(edges), len(names), 3))
     for push in pushes:
