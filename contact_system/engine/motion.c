@@ -298,6 +298,15 @@ static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at
   return 0;
 }
 
+/* The series of a stiff V from its values. Its integral would lose digits, as pushes and lam V, which
+   cancel, are far larger than V over a panel's length. */
+static void through(double start, const double *values, double *out) {
+  double rise[L];
+  for (int i = 0; i < L; i++) rise[i] = values[i] - start;
+  for (int k = 0; k < TERMS; k++) out[k] = dot(gauss_through + k * L, rise);
+  out[0] += start;
+}
+
 /* The series of a converged panel and the state at its end; returns the error. */
 static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, lanes_t f, double *out,
                           double *end) {
@@ -307,8 +316,9 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
     double *o = out + r * TERMS;
     o[L] = half * dot(gauss_top, f[r]), o[0] += m->state[r];
     error = fmax(error, TAIL * fmax(fabs(o[L]), 0.1 * fabs(o[L - 1])) * m->scale[r]);
-    reached[r] = has_v(m) && r >= m->n - 2 ? dot(gauss_last, x[r])
-                                        : m->state[r] + half * dot(gauss_weight, f[r]);
+    reached[r] = m->state[r] + half * dot(gauss_weight, f[r]);
+    if (has_v(m) && r >= m->n - 2)
+      through(m->state[r], x[r], o), reached[r] = dot(gauss_last, x[r]);
   }
   memcpy(end, reached, (size_t)m->n * sizeof *reached);
   if (m->body && m->ambient) restore_body(w, m->side, m->body, end);
