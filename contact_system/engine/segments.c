@@ -12,8 +12,6 @@ static const double FIRST = 0.65;
 /* Slip whose whole remaining displacement is below this part of tolerance * size is let go. */
 static const double NEGLIGIBLE_PART = 0.01;
 static const double ROUNDING = 1e-17; /* the same of what no tolerance asks for */
-/* Slip left when a slipping object goes over to a geodesic, in path speeds and tolerances */
-static const double RATE_LEFT = 0.1;
 /* Path beyond which, in sizes of the body, the rest of a slipping interval is made a geodesic: that
    is free however long it is, while a short rest is cheaper as one more panel. */
 static const double LONG_REST = 6.0;
@@ -133,7 +131,7 @@ static double first_length(const body_t *b) { return FIRST * sqrt(b->bend * b->s
 
 /* ---- geodesics ---- */
 
-static void geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
+static track_t *geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
   const body_t *b = &c->c->body[side];
   /* that rolling follows the object's curve as a geodesic is to come out, not to be put in */
   const int closed = c->follows && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
@@ -141,17 +139,24 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
     const double *state = state_of(c, side);
     track_t *k = add_track(c, side, drive, stop, reason);
     (closed == GREAT_CIRCLES ? lay_circle : lay_line)(c->w, b, state, k);
-    return;
+    return k;
   }
   motion_t m = motion_of(c, side, drive, 0);
   const double speed = norm(m.w);
   /* where sigma touches zero at a window's edge an interval may be rounding long */
   m.by_length = 1, m.length = fmax(length_at(drive, stop - drive->start), 1e-300);
   m.first = speed > 0 ? fmin(first_length(b) / speed, 4.0 * m.length) : 4.0 * m.length;
-  add_motion(c, &m, stop, reason);
+  return add_motion(c, &m, stop, reason);
 }
 
 /* ---- slip and rate offsets ---- */
+
+/* A geodesic of the object while slip, v, shows in its rates alone */
+static void slipping_geodesic(course_t *c, const drive_t *d, const double *v, int reason) {
+  track_t *k = geodesic(c, 1, d, d->stop, reason);
+  memcpy(k->v, v, sizeof k->v);
+  k->slips = any(v);
+}
 
 static slip_t *add_slip(course_t *c, const drive_t *d) {
   slip_t *s = &c->c->slips[c->c->n_slips++];
@@ -200,13 +205,10 @@ static void line(course_t *c, const drive_t *d, const double *offset, int matter
    the contact by less than the tolerance is left out of the integration, never out of the rates. */
 static double driven(course_t *c, const drive_t *d, const double *offset, double negligible) {
   const body_t *b = &c->c->body[1];
-  const double tolerance = c->w->plan->tolerance;
-  const int offsets = any(offset);
-  motion_t m = motion_of(c, 1, d, offsets);
+  motion_t m = motion_of(c, 1, d, any(offset));
   memcpy(m.v, c->v, sizeof m.v), memcpy(m.offset, offset, sizeof m.offset);
-  m.stops = !offsets && length_at(d, m.length) > LONG_REST * b->size;
-  const double finish = (m.stops ? fmin(negligible, RATE_LEFT) : negligible) * tolerance;
-  m.finish = offsets ? 0.0 : finish;
+  m.stops = !any(offset) && length_at(d, m.length) > LONG_REST * b->size;
+  m.finish = negligible;
   m.slip = norm(c->v) > m.finish ? norm(c->v) : 0.0;
   m.first = first_panel(d, m.length, b);
   return add_motion(c, &m, d->stop, reason_of(c, offset))->stop;
@@ -221,17 +223,19 @@ static double free_object(course_t *c, const segment_t *s, double stop) {
   /* the guaranteed law lets no slip leave a rest */
   if (d->grows && d->sigma[0] == 0.0) c->v[0] = c->v[1] = 0.0;
   add_slip(c, d);
-  const double slip = norm(c->v), negligible = NEGLIGIBLE_PART * b->size * d->per_metre;
+  const double slip = norm(c->v);
+  const double negligible = NEGLIGIBLE_PART * b->size * d->per_metre * c->w->plan->tolerance;
   double reached = d->stop;
   if (b->surface->closed == DEVELOPABLE && (slip > 0 || any(offset)))
     line(c, d, offset, slip > ROUNDING * b->size * d->per_metre);
   else if (slip == 0 && !any(offset))
     geodesic(c, 1, d, reached = stop, c->follows ? FOLLOWING : NO_SLIP);
-  else if (slip <= fmin(negligible, RATE_LEFT) * c->w->plan->tolerance && !any(offset))
-    geodesic(c, 1, d, d->stop, NEGLIGIBLE);
+  else if (slip <= negligible && !any(offset))
+    slipping_geodesic(c, d, c->v, NEGLIGIBLE);
   else {
-    const double until = driven(c, d, offset, negligible);
-    if (until < d->stop) geodesic(c, 1, drive_on(c->w, d->leg, until, d->stop), d->stop, SLIP_LEFT);
+    const double until = driven(c, d, offset, negligible), left = decay_at(d, until - d->start);
+    const double v[2] = {left * c->v[0], left * c->v[1]};
+    if (until < d->stop) slipping_geodesic(c, drive_on(c->w, d->leg, until, d->stop), v, SLIP_LEFT);
   }
   if (slip > 0) {
     const double left = decay_at(d, d->stop - d->start);
