@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Callable
@@ -57,6 +58,8 @@ def test_a_pose_that_can_be_rolled_to_is_a_goal(bodies):
     pose = cs.plan(cs.reach(start, goal).scene).pose(3.0)[0, 0]
     route = cs.reach(start, cs.Goal(pose=pose))
     assert cs.plan(route.scene).pose(3.0)[0, 0] == pytest.approx(pose, abs=1e-12)
+    goal, other = cs.Goal(pose=cs.plan(start).pose(0.0)[0, 0]), cs.Goal(pose=pose)
+    assert cs.reach(start, goal).length == 0.0 and goal == dataclasses.replace(goal) != other
 
 
 @pytest.mark.parametrize("legs", [2, 4])
@@ -154,12 +157,8 @@ def _try(goal: dict, finger=SMALL, obj=ROUND, contact=None, **options) -> Callab
     return lambda: cs.reach(scene(finger, obj, **(contact or {})), cs.Goal(**goal), **options)
 
 
-def _pose(x: float = 0.0, row: tuple[float, ...] = (0, 0, 0, 1)) -> np.ndarray:
-    pose = np.eye(4)
-    pose[0, 3], pose[3] = x, row
-    return pose
-
-
+BESIDE = np.eye(4)
+BESIDE[0, 3] = 0.5  # m
 PLACE = {"object_at": (2.0, 1.0)}
 WHOLE = {**PLACE, "finger_at": (1.0, 0.5), "angle": 1.0}
 TWO_PLACES = {**PLACE, "finger_at": (1.0, 0.5)}
@@ -178,9 +177,7 @@ REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
     "an angle without places": ("give both places", lambda: cs.Goal(angle=1.0, **PLACE)),
     "a pose and a place": ("not both", lambda: cs.Goal(pose=np.eye(4), **PLACE)),
     "a pose of 3 by 3": ("shape", lambda: cs.Goal(pose=np.eye(3))),
-    "a pose with NaN": ("no rotation", lambda: cs.Goal(pose=np.full((4, 4), math.nan))),
     "a pose that mirrors": ("no rotation", lambda: cs.Goal(pose=np.diag([1, 1, -1, 1]))),
-    "a pose with another last row": ("last row", lambda: cs.Goal(pose=_pose(row=(0, 0, 1, 1)))),
     "a place of three numbers": ("object_at", lambda: cs.Goal(object_at=(1, 2, 3))),
     "an endless angle": ("angle", lambda: cs.Goal(**{**WHOLE, "angle": math.inf})),
     "a region without size": ("radius", lambda: cs.Goal(**PLACE, finger_within=(1, 2, 0))),
@@ -191,7 +188,6 @@ REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
     "legs of no length": ("above 0", _try(WHOLE, longest=0.0)),
     "time before now": ("not below 0", _try(WHOLE, seconds=-1.0)),
     "a pole": ("pole", _try({"finger_at": (0.0, 0.0)})),
-    "an umbilic": ("umbilic", _try({"object_at": (0.0, math.pi / 2)})),
     "equal spheres": ("same Gaussian", _try(WHOLE, obj=cs.Sphere(0.04))),
     "a sphere in its own bowl": ("same Gaussian", _try(WHOLE, obj=cs.Sphere(0.04, inside=True))),
     "mirror images": ("no path", _try(TWO_PLACES, TWIN, TWIN, MIRRORED)),
@@ -201,13 +197,12 @@ REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
     "a pad too small": ("widen", _try({**WHOLE, "finger_within": (1.1, 0.45, 0.007)})),
     "legs too short": ("longer ones", _try(WHOLE, longest=0.01)),
     "one leg for five numbers": ("at least", _try(WHOLE, legs=1)),
-    "bodies that do not touch": ("touch", _try({"pose": _pose(0.5)}, legs=3)),
+    "bodies that do not touch": ("touch", _try({"pose": BESIDE}, legs=3)),
     "rolling that is imposed": ("two numbers", lambda: cs.reach(FOLLOWING, cs.Goal(**PLACE))),
     "no direction": ("direction", _try(WHOLE, contact={"finger_velocity": (0.0, 0.0)})),
     "disturbances": ("change its path", lambda: cs.reach(PUSHED, cs.Goal(**WHOLE))),
     "one of two fingers": ("contact 1", lambda: cs.reach(TWO, [None, cs.Goal(**BEYOND)])),
     "a loop of no turn": ("no turn", lambda: cs.loop(scene(SMALL, ROUND), 2 * math.pi)),
-    "a loop on its equal": ("same Gauss", lambda: cs.loop(scene(SMALL, SMALL), 1.0)),
     "a loop of a third finger": ("0 to 1", lambda: cs.loop(TWO, 1.0, contact=2)),
 }
 """What is asked for, a part of the answer, and how it is asked."""

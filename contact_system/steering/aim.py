@@ -89,9 +89,9 @@ class Aim:
         self.angles = self.contact.angle, goal.angle or 0.0
         curvatures = self._place(goal)
         pose, own = _poses(self.angles, self.start, self.goal)
-        self.pose, self.is_pose = goal.pose, goal.pose is not None
-        if goal.angle is not None:
-            self.pose = own
+        self.is_pose, self.pose = goal.pose is not None, None if goal.angle is None else own
+        if goal.pose is not None:
+            self.pose = np.array(goal.pose)
         self.regions = self._regions(goal)
         w: Any = self.contact.finger_velocity
         self.pace, self.lean = math.hypot(*w), math.atan2(w[1], w[0])
@@ -99,7 +99,7 @@ class Aim:
         self.sizes = [min(sizes) if is_plane(body) else body.size for body in self.bodies]
         away = [math.dist(self.start[side][0], self.goal[side][0]) for side in self.sides]
         if goal.pose is not None:
-            away = [math.dist(pose[:3, 3], goal.pose[:3, 3])]
+            away = [math.dist(pose[:3, 3], [row[3] for row in goal.pose[:3]])]
         self.far = max(away) / self.pace
         widths = [region.widest for region in self.regions]
         unit = min([self._turning_length(*curvatures), *widths]) / self.pace

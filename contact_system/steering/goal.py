@@ -58,7 +58,8 @@ class Goal:
             if any(places) or self.angle is not None:
                 raise SceneError("pose: give a pose or places and an angle, not both")
             pose = shaped_array(self.pose, "pose", (4, 4))
-            put(self, "pose", rigid_motion(pose, "pose", 1e-9))
+            rows = rigid_motion(pose, "pose", 1e-9).tolist()
+            put(self, "pose", tuple(map(tuple, rows)))
         elif not any(places):
             raise SceneError("a goal needs a place on a body: object_at, finger_at or a pose")
         elif self.angle is not None and not all(places):

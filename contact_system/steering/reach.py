@@ -188,6 +188,9 @@ class _Search:
 
     def shortest(self, legs: int | None, seconds: float) -> tuple[_Route, str]:
         """The first route with the least number of legs, or the shortest one found in the time."""
+        if self.aim.start_off <= REACHED:  # it stays
+            z = np.zeros(2 * (legs or 1))
+            return _Route(z, self.alone(z), self.aim.start_off, np.eye(0)), "it starts at its goal"
         until, tried = time.perf_counter() + seconds, []
         for n in range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,):
             for batch in range(STARTS // LANES):
