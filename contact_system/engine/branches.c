@@ -148,6 +148,22 @@ static int comes_back(const path_t *p, int negative, double x, double y, double 
   return 0;
 }
 
+/* The same along a path that comes from ref at x, in a chart that covers its surface once. Beside a
+   pole theta and an azimuth swing by half a turn, to opposite sides or the same one, which is seen
+   only where they have swung by less. */
+static void wind_swing(const path_t *p, double x, const double *ref, double x2, lanes_t z, int i) {
+  double half[N_COORDINATES][L], value[N_COORDINATES];
+  const double middle = 0.5 * (x + x2);
+  const int swings = fabs(wound(z[THETA][i], ref[2], TURN) - ref[2]) > 0.25 * TURN;
+  if (!swings || !(middle > x && middle < x2) || place_on(p, middle, value)) {
+    wind(p->body->surface, ref, z, i);
+    return;
+  }
+  for (int r = 0; r < N_COORDINATES; r++) half[r][0] = value[r];
+  wind_swing(p, x, ref, middle, half, 0);
+  wind_swing(p, middle, (double[3]){half[U][0], half[V][0], half[THETA][0]}, x2, z, i);
+}
+
 /* One point of a path at x2, in principal coordinates, to the branch that it is on coming from ref
    at x; y, y2: side_of both; bends: whether the path may come back between them */
 static void wind_along(const path_t *p, double x, double y, const double *ref, double x2, double y2,
@@ -155,7 +171,11 @@ static void wind_along(const path_t *p, double x, double y, const double *ref, d
   const surface_t *s = p->body->surface;
   const int side = beyond(ref[0], ref[1]);
   double there, found;
-  if (!s->double_cover || on_seam(ref[0], ref[1]) || on_seam(z[U][i], z[V][i])) {
+  if (!s->double_cover) {
+    wind_swing(p, x, ref, x2, z, i);
+    return;
+  }
+  if (on_seam(ref[0], ref[1]) || on_seam(z[U][i], z[V][i])) {
     wind(s, ref, z, i);
     return;
   }
