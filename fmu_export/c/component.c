@@ -7,6 +7,8 @@
 /* */
 #include "profile.c"
 /* */
+#include "starts.c"
+/* */
 #include "system.c"
 /* */
 #include "state.c"
@@ -36,7 +38,7 @@ static void free_component(component_t *c) {
     free(c->live[i].registers);
   }
   free(c->own), free(c->before), free(c->live), free(c->buffer), free(c->seed), free(c->grown),
-      free(c->tangents), free(c->registers);
+      free(c->tangents), free(c->registers), free(c->along);
   free_model(c->model);
 }
 
@@ -102,8 +104,6 @@ static void take_back(component_t *c) {
 #include "plans.c"
 /* */
 #include "events.c"
-/* */
-#include "starts.c"
 /* */
 #include "results.c"
 

@@ -81,7 +81,8 @@ typedef struct {
   double *buffer;       /* a contact's scene for the engine */
   double *seed, *grown; /* of all values */
   double (*tangents)[L];
-  double *registers;      /* of the tables by which contacts are measured, */
+  double *registers;      /* of other tables, by which contacts start and are measured, */
+  double (*along)[L];     /* and how they grow; */
   long room;              /* so many */
   const char *unmeasured; /* why what was measured is no place to go on from */
   failure_t failure;

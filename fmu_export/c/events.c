@@ -15,22 +15,6 @@ static int pushed_at_rest(const component_t *c, long i) {
 enum { TRIGGER, MEASURED };
 enum { ROTATION = 6, POSITION = 15, TWIST_AND_POSE = 18 };
 
-/* Loads a table with constants that lie in the buffer; returns its registers, which hold the point
-   first, or NULL without memory. */
-static double *load_table(component_t *c, const table_t *t) {
-  if (c->room < t->n_regs) {
-    free(c->registers);
-    c->registers = malloc((size_t)t->n_regs * sizeof *c->registers);
-    c->room = c->registers ? t->n_regs : 0;
-  }
-  double *r = c->registers;
-  if (!r) return NULL;
-  memcpy(r + t->n_in, c->buffer, (size_t)t->n_const * sizeof *r);
-  if (t->n_lit) memcpy(r + t->first_lit, t->literals, (size_t)t->n_lit * sizeof *r);
-  c->engine->step(&(program_t){t->prologue, r});
-  return r;
-}
-
 /* Loads the table by which contact i is measured. */
 static double *load_sensor(component_t *c, long i, const table_t *t) {
   double *next = c->buffer, body[BODY_SIZE];

@@ -24,6 +24,10 @@ static inline const double *body_of_contact(const model_t *m, long i, int side) 
   return side ? m->data + D_OBJECT : contact_of(m, i) + P_FINGER;
 }
 
+static inline const table_t *system_of(const model_t *m, long i) {
+  return m->systems + (long)contact_of(m, i)[P_SYSTEM];
+}
+
 static inline const surface_t *surface_of(const model_t *m, long i, int side) {
   return m->surfaces[(long)body_of_contact(m, i, side)[Q_SURFACE]];
 }

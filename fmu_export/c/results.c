@@ -57,7 +57,7 @@ static status_t find(component_t *c, long i, unsigned groups) {
   live_t *k = c->live + i;
   if (SYSTEM(c->now)) {
     if (!k->valid && groups) {
-      (c->now->phase == INITIALIZATION ? find_before_start : find_system)(c, i);
+      find_system(c, i);
       k->valid = ALL_RESULTS;
     }
     return OK;
@@ -157,7 +157,7 @@ static double (*run_along(component_t *c, long i)) [L] {
   const table_t *t = system_of(c->model, i);
   memset(c->tangents[t->first_lit], 0, (size_t)(t->n_regs - t->first_lit) * sizeof *c->tangents);
   UNTRAPPED({
-    load_system(c, i, 1);
+    load_system(c, i, c->tangents);
     c->engine->along(&(program_t){t->prologue, c->live[i].registers}, c->tangents);
     c->engine->along(&(program_t){t->body, c->live[i].registers}, c->tangents);
   });

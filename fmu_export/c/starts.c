@@ -1,73 +1,104 @@
-/* Frames at the start, which belong to their surfaces, whatever is set. */
+/* Frames at the start, which belong to their surfaces, whatever is set. Where derivatives are asked
+   for, they are carried along. */
+
+/* Loads a table with constants that lie in the buffer; returns its registers, which hold the point
+   first, or NULL without memory. */
+static double *load_table(component_t *c, const table_t *t) {
+  if (c->room < t->n_regs) {
+    free(c->registers), free(c->along);
+    c->registers = malloc((size_t)t->n_regs * sizeof *c->registers);
+    c->along = malloc((size_t)t->n_regs * sizeof *c->along);
+    c->room = c->registers && c->along ? t->n_regs : 0;
+  }
+  double *r = c->registers;
+  if (!c->room) return NULL;
+  memcpy(r + t->n_in, c->buffer, (size_t)t->n_const * sizeof *r);
+  if (t->n_lit) memcpy(r + t->first_lit, t->literals, (size_t)t->n_lit * sizeof *r);
+  c->engine->step(&(program_t){t->prologue, r});
+  return r;
+}
+
+/* Loads a table of a body's surface for numbers among these values, and how they grow or NULL. */
+static double *load_surface(component_t *c, const double *body, const table_t *t,
+                            const double *values, double (*numbers)[L]) {
+  const size_t n = (size_t)body[Q_N_VALUES];
+  c->buffer[0] = body[Q_SIGN];
+  memcpy(c->buffer + 1, values + (long)body[Q_VALUES], n * sizeof *values);
+  double *r = load_table(c, t);
+  if (!r) return NULL;
+  memset(c->along, 0, (size_t)t->n_regs * sizeof *c->along);
+  if (numbers) memcpy(c->along + t->n_in + 1, numbers, n * sizeof *numbers);
+  c->engine->along(&(program_t){t->prologue, r}, c->along);
+  return r;
+}
 
 /* Puts a frame in space, whose start values anybody may have set, or a parameter of its surface,
    back on the surface. Returns what is wrong, or NULL. */
-static const char *put_on_surface(component_t *c, long i, int side, double frame[6]) {
+static const char *put_on_surface(component_t *c, long i, int side, double frame[6],
+                                  double (*grows)[L], double (*numbers)[L]) {
   const double *body = body_of_contact(c->model, i, side);
   const table_t *t = surface_of(c->model, i, side)->ambient[A_RESTORE];
-  double *next = c->buffer, row[BODY_SIZE], moved = 1.0;
-  put_body(c, body, &next, row);
-  double *r = load_table(c, t);
+  double *r = load_surface(c, body, t, c->value, numbers), moved = 1.0;
   if (!r) return "there is no memory";
   memcpy(r, frame, 6 * sizeof *r);
+  if (grows) memcpy(c->along, grows, 6 * sizeof *grows);
   for (int k = 0; k < 50 && moved > 1e-12; k++) {
-    c->engine->step(&(program_t){t->body, r});
+    c->engine->along(&(program_t){t->body, r}, c->along);
     const double *y = r + t->first_out;
     moved = 0.0;
     for (int a = 0; a < 6; a++) moved += fabs(y[a] - r[a]) / (a < 3 ? body[Q_LENGTH] : 1.0);
     memcpy(r, y, 6 * sizeof *r);
+    memcpy(c->along, c->along + t->first_out, 6 * sizeof *c->along);
   }
   if (!(moved <= 1e-12))
     return side ? "the object's frame is not on its surface"
                 : "the finger's frame is not on its surface";
   memcpy(frame, r, 6 * sizeof *frame);
+  if (grows) memcpy(grows, c->along, 6 * sizeof *grows);
   return NULL;
 }
 
 /* A frame of the scene's own keeps its u, v and theta where parameters of its surface are set. */
-static void keep_coordinates(component_t *c, long i, int side, double frame[6]) {
-  const double *q = body_of_contact(c->model, i, side), *starts = section(c->model, D_STARTS);
+static void keep_coordinates(component_t *c, long i, int side, double frame[6], double (*grows)[L],
+                             double (*numbers)[L]) {
+  const double *body = body_of_contact(c->model, i, side), *starts = section(c->model, D_STARTS);
   const layout_t *l = c->model->layout + i;
-  const long at = (long)q[Q_VALUES], size = (long)q[Q_N_VALUES] * (long)sizeof *starts;
-  const table_t *const *ambient = surface_of(c->model, i, side)->ambient;
-  if (!ambient[A_START] || !memcmp(c->value + at, starts + at, (size_t)size)) return;
+  const long at = (long)body[Q_VALUES];
+  const int set = memcmp(c->value + at, starts + at, (size_t)body[Q_N_VALUES] * sizeof *starts);
+  const table_t *const *ambient = surface_of(c->model, i, side)->ambient, *t = ambient[A_START];
+  if (!t || !(set || grows)) return;
   if (memcmp(frame, starts + l->at[OF_STATES] + side * l->frame[0], 6 * sizeof *frame)) return;
-  double place[3];
-  for (int k = 0; k < 2; k++) {
-    const table_t *t = ambient[k ? A_START : A_COORDINATES];
-    c->buffer[0] = q[Q_SIGN];
-    memcpy(c->buffer + 1, (k ? c->value : starts) + at, (size_t)size);
-    double *r = load_table(c, t);
-    if (!r) return;
-    const double *y = r + t->first_out;
-    memcpy(r, k ? place : frame, (k ? 3 : 6) * sizeof *r);
-    if (!k) r[6] = r[7] = 0.0; /* velocity, which does not matter */
-    c->engine->step(&(program_t){t->body, r});
-    if (!k) place[0] = y[0], place[1] = y[1], place[2] = y[4];
-    if (k && all_finite(y, 6)) memcpy(frame, y, 6 * sizeof *y);
-  }
+  double *r = load_surface(c, body, ambient[A_COORDINATES], starts, NULL);
+  if (!r) return;
+  memcpy(r, frame, 6 * sizeof *r);
+  r[6] = r[7] = 0.0; /* velocity, which does not matter */
+  c->engine->step(&(program_t){ambient[A_COORDINATES]->body, r});
+  const double *y = r + ambient[A_COORDINATES]->first_out, place[3] = {y[0], y[1], y[4]};
+  if (!(r = load_surface(c, body, t, c->value, numbers))) return;
+  memcpy(r, place, sizeof place);
+  c->engine->along(&(program_t){t->body, r}, c->along);
+  if (!all_finite(r + t->first_out, 6)) return;
+  memcpy(frame, r + t->first_out, 6 * sizeof *frame);
+  for (int a = 0; a < 6 * L && grows; a++) grows[0][a] += c->along[t->first_out][a];
 }
 
-/* Both frames of contact i, where they are in space. Returns what is wrong, or NULL. */
-static const char *put_frames(component_t *c, long i) {
-  const layout_t *l = c->model->layout + i;
+/* Both frames of contact i among these states, where they are in space. grows: of the point and
+   constants of its equations, or NULL. Returns what is wrong, or NULL. */
+static const char *put_frames(component_t *c, long i, double *states, double (*grows)[L]) {
+  const model_t *m = c->model;
+  const table_t *t = system_of(m, i); /* its last constants are the numbers of finger and object */
   const char *wrong = NULL;
+  long numbers = t->n_in + t->n_const;
+  for (int side = 0; side < 2; side++) numbers -= (long)body_of_contact(m, i, side)[Q_N_VALUES];
   for (int side = 0; side < 2 && !wrong; side++) {
-    double *frame = c->value + l->at[OF_STATES] + side * l->frame[0];
-    if (l->frame[side] == 6)
-      UNTRAPPED(keep_coordinates(c, i, side, frame); wrong = put_on_surface(c, i, side, frame));
+    const long from = side * m->layout[i].frame[0];
+    double *frame = states + from;
+    double (*own)[L] = grows ? grows + 1 + from : NULL; /* behind time */
+    double (*of)[L] = grows ? grows + numbers : NULL;
+    if (m->layout[i].frame[side] == 6)
+      UNTRAPPED(keep_coordinates(c, i, side, frame, own, of);
+                wrong = put_on_surface(c, i, side, frame, own, of));
+    numbers += (long)body_of_contact(m, i, side)[Q_N_VALUES];
   }
   return wrong;
-}
-
-/* Results before the start are those of the frames put on their surfaces; the frames themselves
-   stay as they were set until then. */
-static void find_before_start(component_t *c, long i) {
-  const layout_t *l = c->model->layout + i;
-  double *x = c->value + l->at[OF_STATES], kept[12];
-  const size_t size = (size_t)(l->frame[0] + l->frame[1]) * sizeof *x;
-  memcpy(kept, x, size);
-  put_frames(c, i);
-  find_system(c, i);
-  memcpy(x, kept, size);
 }

@@ -6,7 +6,7 @@ static const char *place_contact(component_t *c, long i) {
   const layout_t *l = m->layout + i;
   segment_t *s = c->segment + i;
   double *x = c->value + l->at[OF_STATES], *to = s->row;
-  const char *wrong = put_frames(c, i);
+  const char *wrong = put_frames(c, i, x, NULL);
   if (wrong) return wrong;
   find_system(c, i);
   memset(s, 0, sizeof *s);

@@ -3,10 +3,6 @@
    point: time, states, disturbances (6); constants: gain, profile, numbers of finger and object;
    results: the values from `rate` on, then the object's theta. */
 
-static const table_t *system_of(const model_t *m, long i) {
-  return m->systems + (long)contact_of(m, i)[P_SYSTEM];
-}
-
 static long n_results(const layout_t *l) { return l->at[GROUPS] - l->at[OF_RATES]; }
 
 /* Inputs and windows on contact i */
@@ -18,8 +14,10 @@ static void acting_on(const component_t *c, long i, double out[DISTURBANCES]) {
       out[2 * (int)window_of(c, k)[V_SLOT] + a] += scale * window_values(c, k)[2 + a];
 }
 
-/* Loads the registers with the point; the prologue runs where constants have changed. */
-static void load_system(component_t *c, long i, int again) {
+/* Loads the registers with the point; the prologue runs where constants have changed. Before the
+   start, frames are put on their surfaces here; values keep them as they were set. grows: how the
+   point and constants do, NULL where no derivatives are asked for. */
+static void load_system(component_t *c, long i, double (*grows)[L]) {
   const model_t *m = c->model;
   const layout_t *l = m->layout + i;
   const table_t *t = system_of(m, i);
@@ -29,14 +27,15 @@ static void load_system(component_t *c, long i, int again) {
   const leg_t leg = leg_of(c, i, which);
   r[0] = c->now->time - leg.start;
   memcpy(r + 1, c->value + l->at[OF_STATES], (size_t)l->states * sizeof *r);
+  if (c->now->phase == INITIALIZATION) put_frames(c, i, r + 1, grows);
   acting_on(c, i, r + 1 + l->states);
-  if (k->prepared && k->leg == which && !again) return;
+  if (k->prepared && k->leg == which && !grows) return;
   const double *column = m->data + (long)contact_of(m, i)[P_COLUMNS];
   for (long j = t->n_in, own = 0; j < t->n_in + t->n_const; j++)
     r[j] = column[j] >= 0 ? c->value[(long)column[j]] : leg.sigma[own++];
   k->leg = which;
-  if (!again) c->engine->step(&(program_t){t->prologue, r});
-  k->prepared = !again;
+  if (!grows) c->engine->step(&(program_t){t->prologue, r});
+  k->prepared = !grows;
 }
 
 /* States without slip, or its rates */
@@ -54,7 +53,7 @@ static int has_no_rate(const component_t *c, long i) {
 /* The results of contact i at its states */
 static const double *run_system(component_t *c, long i) {
   const table_t *t = system_of(c->model, i);
-  UNTRAPPED(load_system(c, i, 0); c->engine->step(&(program_t){t->body, c->live[i].registers}));
+  UNTRAPPED(load_system(c, i, NULL); c->engine->step(&(program_t){t->body, c->live[i].registers}));
   double *found = c->live[i].registers + t->first_out;
   if (has_no_rate(c, i)) no_slip(c->model->layout + i, found);
   return found;
