@@ -167,11 +167,14 @@ FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool 
                                 _Bool *event, _Bool *terminate, _Bool *early, double *last_time) {
   BEGIN(STEP);
   const instance_t *own = instance;
-  const double target = from + size;
+  const double end = from + size, limit = c->now->limit;
   int edge = 0;
   NEEDS(event && terminate && early && last_time);
   *event = *terminate = *early = 0, *last_time = c->now->time;
   if (check_step(c, from, size)) return FAILED;
+  /* where sigma ends, a step may end early too */
+  const int ends = own->early_return && !reached(limit, end) && !reached(c->now->time, limit);
+  const double target = ends ? limit : end;
   const int crosses = c->uses_events && !own->early_return;
   if (crosses) keep_state(c);
   status_t s = OK;
@@ -179,8 +182,9 @@ FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool 
     s = step(c, target, c->uses_events, &edge);
   while (!s && edge && crosses && !reached(c->now->time, target));
   if (s && crosses) take_back(c);
-  *last_time = c->now->time, *terminate = c->now->ended;
-  *event = edge && !s, *early = !s && !reached(c->now->time, target);
+  *last_time = c->now->time;
+  *terminate = c->now->ended || (ends && !s && reached(c->now->time, limit));
+  *event = edge && !s, *early = !s && !reached(c->now->time, end);
   return s;
 }
 
