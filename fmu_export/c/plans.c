@@ -162,7 +162,8 @@ static int cover(component_t *c, long i, double target) {
   "while sigma > 0, or disturb the object's rates"
 
 /* Why the engine has no plan, as a line in the log. */
-static status_t refuse_motion(component_t *c, long i, const char *what, double target) {
+static status_t refuse_motion(component_t *c, status_t status, long i, const char *what,
+                              double target) {
   const failure_t *f = &c->failure;
   const char *side = f->side ? "object" : "finger";
   char where[160] = "";
@@ -179,6 +180,6 @@ static status_t refuse_motion(component_t *c, long i, const char *what, double t
           : "the path reaches a singular point of its chart or its surface, or moves too fast for "
             "double precision; set smaller inputs, end before or start elsewhere";
   c->unmeasured = NULL;
-  return report(c, DISCARD, "contact[%ld].%s: no %s to t = %.17g s%s: %s", i + 1, side, what,
-                target, where, why);
+  return report(c, status, "contact[%ld].%s: no %s to t = %.17g s%s: %s", i + 1, side, what, target,
+                where, why);
 }

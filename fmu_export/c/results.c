@@ -68,7 +68,8 @@ static status_t find(component_t *c, long i, unsigned groups) {
   const unsigned missing = groups & ~k->valid, asked = missing & ~rates;
   const unsigned more = (k->before & ~k->valid & ~rates) | asked; /* in one pass */
   if (asked) {
-    if (!k->plan && cover(c, i, c->now->time)) return refuse_motion(c, i, "values", c->now->time);
+    if (!k->plan && cover(c, i, c->now->time))
+      return refuse_motion(c, DISCARD, i, "values", c->now->time);
     /* at a pole or an umbilic there are values of what comes a moment before */
     const double t = time_on(c, i), before = t - 1e-8 * (t - c->segment[i].begin);
     if (more != asked && !look(c, i, t, more))
@@ -138,7 +139,7 @@ static status_t get_values(component_t *c, unsigned reference, long count, doubl
   if (i >= 0) {
     const unsigned group = group_of(c, i, reference);
     const int stuck = group && !SYSTEM(c->now) ? settle(c) : 0;
-    if (stuck) return refuse_motion(c, stuck - 1, "values", c->now->time);
+    if (stuck) return refuse_motion(c, DISCARD, stuck - 1, "values", c->now->time);
     if (group & ~c->live[i].valid) {
       const status_t s = find(c, i, group);
       if (s) return s;

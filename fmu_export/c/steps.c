@@ -76,8 +76,7 @@ static status_t try_start(component_t *c) {
           "surface",
           i + 1, wrong);
     if (now->stepping && cover(c, i, now->time)) {
-      refuse_motion(c, i, "motion", now->time);
-      return FAILED;
+      return refuse_motion(c, FAILED, i, "motion", now->time);
     }
     if (now->stepping) warm(c, i);
   }
@@ -111,14 +110,14 @@ static status_t step(component_t *c, double target, int stop_at_windows, int *ed
   for (long i = 0; i < n; i++)
     if (pushed_at_rest(c, i)) return report(c, DISCARD, "no step to t = %.9g s: " AT_REST, target);
   const int stuck = settle(c);
-  if (stuck) return refuse_motion(c, stuck - 1, "step", target);
+  if (stuck) return refuse_motion(c, DISCARD, stuck - 1, "step", target);
   double goal = fmin(target, now->limit);
   if (stop_at_windows) {
     const double window = next_window(c);
     if ((*edge = reached(target, window))) goal = window;
   }
   for (long i = 0; i < n; i++)
-    if (cover(c, i, goal)) return refuse_motion(c, i, "step", target);
+    if (cover(c, i, goal)) return refuse_motion(c, DISCARD, i, "step", target);
   set_time(c, goal);
   if (*edge) now->pending = 1, now->acts_at = nextafter(snapped(c, goal, 0), -HUGE_VAL);
   return OK;
