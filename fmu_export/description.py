@@ -129,7 +129,7 @@ def listed(table: Table, fmi_version: str) -> list[Variable]:
     """The variables in the order of the file; FMI 2 has no need of the independent one."""
     if fmi_version == "2.0":
         if table.arrays:
-            raise ContactSystemError('arrays: FMI 2.0 has none; give fmi_version = "3.0"')
+            raise ContactSystemError("arrays: FMI 2.0 has none; choose FMI 3.0")
         return table.rows[1:]
     return table.joined if table.arrays else table.rows
 

@@ -274,7 +274,7 @@ def test_a_file_is_replaced_by_what_is_valid_alone_and_by_the_last_of_two(tmp_pa
         ("platforms", ("amiga",), "x86_64-linux"),
         *(("interfaces", x, "give a list of one or both") for x in ((), None, 3, True)),
         *(("interfaces", x, "give a list of one or both") for x in (("x",), "CoSimulation")),
-        ("arrays", True, "FMI 2.0 has none; give fmi_version"),
+        ("arrays", True, "FMI 2.0 has none; choose FMI 3.0"),
         ("fmi_version", "1.0", "give a text, one of"),
         *(("progress", x, "give a ") for x in (3, True)),
         *(("path", x, "give a path") for x in (None, K1)),
