@@ -11,15 +11,15 @@ import numpy as np
 from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor
 from contact_system.engine.binding import SURFACES
 from contact_system.motion import MAY_BE_SINGULAR
-from contact_system.surfaces import Ellipsoid, Quadric, Surface, Torus
+from contact_system.surfaces import Ellipsoid, Surface, Torus
 from contact_system.theory.gain import LAWS
 from contact_system.theory.lowering import Table as Instructions
 
 from .model import TOLERANCE, equations, frame_sizes, measured, way_of
 from .variables import Table
 
-MAGIC, VERSION, HEADER = 20261124.0, 6.0, 36
-KINDS = ("calculated", "independent", "fixed", "tunable", "input", "exact")
+MAGIC, VERSION, HEADER = 20261124.0, 7.0, 36
+KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
 
 
 class _Data:
@@ -77,6 +77,7 @@ def scene_data(table: Table, token: str) -> bytes:
             place = data.numbers(stretch.profile.coefficients) if contact.legs else 0
             legs += [stretch.start, place, n_profile, *stretch.turn]
         contacts += [_index(systems, sensor), *unknowns, data.numbers(legs), len(way)]
+        contacts.append(contact.angle)
     sensed = ContactSensor(scene) if table.measured == "pose" else None
     limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else ()
     scalars = table.rows
@@ -126,10 +127,8 @@ def _body(surface: Surface, at: int, surfaces: list[Surface]) -> list[float]:
 
 def _orders(surface: Surface, at: int) -> list[int]:
     """Pairs of references of parameters that keep the surface of its kind: the first must stay
-    greater than the second. A pair of the same reference: this parameter may not change."""
+    greater than the second."""
     count, numbers = range(len(surface.parameters)), surface.parameters
-    if isinstance(surface, Quadric):  # whose numbers depend on each other
-        return [at + i for i in count for _ in range(2)]
     if not isinstance(surface, (Ellipsoid, Torus)):
         return []
     return [at + k for i in count for j in count if numbers[i] > numbers[j] for k in (i, j)]

@@ -268,7 +268,8 @@ def _structure(table: Table, fmi_version: str) -> ET.Element:
     initialization FMI 2 counts no parameters, FMI 3 counts all of them (FMI 2.0.4, 2.2.8; FMI
     3.0.2, 2.4.8).
     """
-    states, parameters = set(table.states), set(range(1, table.groups[0][0]))
+    states = set(table.states)
+    parameters = {v.reference for v in table.rows if v.causality == "parameter"}
     running = states.union(table.inputs, () if fmi_version == "2.0" else {0, *parameters})
     variables = listed(table, fmi_version)
     # an FMI 3 array is known by the reference of its first element

@@ -65,9 +65,9 @@ class Variable:
 
     @property
     def kind(self) -> str:
-        """When it is set, if ever: "fixed", "tunable", "input", "independent", "exact" (a start
-        value) or "calculated"."""
-        if self.causality == "parameter":
+        """When it is set, if ever: "constant", "fixed", "tunable", "input", "independent", "exact"
+        (a start value) or "calculated"."""
+        if self.variability in ("constant", "fixed", "tunable"):
             return self.variability
         if self.causality in ("input", "independent"):
             return self.causality

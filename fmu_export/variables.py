@@ -20,7 +20,7 @@ import numpy as np
 from contact_system.errors import SceneError
 from contact_system.kept import kept
 from contact_system.scene import Scene, require_scene
-from contact_system.surfaces import Surface
+from contact_system.surfaces import Quadric, Surface
 from contact_system.surfaces.base import OfLengths
 from contact_system.system import SceneSystem, number_names
 
@@ -201,8 +201,8 @@ SCALE = "Factor of the scene's own disturbances; 0 leaves them out"
 
 
 def _parameter(name: str, value: float, unit: Unit | None, text: str, **more: Any) -> Variable:
-    said = (name, 0, "parameter", more.pop("variability", "fixed"), "exact", text, unit)
-    return Variable(*said, (float(value),), **more)
+    kind = {"causality": "parameter", "variability": "fixed", "initial": "exact"} | more
+    return Variable(name, 0, description=text, unit=unit, start=(float(value),), **kind)
 
 
 def _parameters(scene: Scene) -> Iterator[list[Variable]]:
@@ -210,7 +210,8 @@ def _parameters(scene: Scene) -> Iterator[list[Variable]]:
     name, text = f"gain.{scene.gain.parameter}", f"Gain of the law '{scene.gain.law}'"
     tunable = {"variability": "tunable", "minimum": 0.0}
     rows = [_parameter(name, scene.gain.value, (*scene.gain.row.dimension, 0), text, **tunable)]
-    for k, value in enumerate(scene.profile.coefficients):
+    profile = scene.profile.coefficients
+    for k, value in enumerate(() if all(c.legs for c in scene.contacts) else profile):
         text = f"Path profile sigma(t), coefficient of t^{k}"
         rows.append(_parameter(f"profile[{k + 1}]", value, (1, -1 - k, 0), text))
     yield rows
@@ -224,7 +225,10 @@ def _parameters(scene: Scene) -> Iterator[list[Variable]]:
                 least = min(1e-6, 1e-3 * value)
                 rows.append(_parameter(*own, METRE, text, minimum=least, nominal=value or None))
             else:
-                rows.append(_parameter(*own, METRE if name.startswith("center[") else None, text))
+                unit, more = METRE if name.startswith("center[") else None, dict[str, Any]()
+                if isinstance(surface, Quadric):  # whose numbers depend on each other
+                    more = {"causality": "local", "variability": "constant"}
+                rows.append(_parameter(*own, unit, text, **more))
         yield rows
 
 

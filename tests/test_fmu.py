@@ -36,7 +36,9 @@ SCENES |= {
         disturbances=[cs.FingerAcceleration(0, 1.3, 1.6, (2.0, -1.0))],
     ),
     "short legs": one_contact(
-        "ellipsoid", legs=[cs.Leg(0.3, 0.03, 0.4), cs.Leg(2.0, 0.03, 0.3), cs.Leg(-1.0, 0.02, 0.2)]
+        "ellipsoid",
+        legs=[cs.Leg(0.3, 0.03, 0.4), cs.Leg(2.0, 0.03, 0.3), cs.Leg(-1.0, 0.02, 0.2)],
+        angle=-4.0,
     ),
     "guaranteed legs": R1.replace(contacts=[SLIPPING], gain=cs.Gain.guaranteed(1.0)),
     "dip": K1.replace(profile=cs.Profile([0.3, -0.84, 2.0, -4 / 3]), gain=cs.Gain.guaranteed(8.0)),
@@ -53,6 +55,7 @@ SCENES |= {
             parameters={"size": 0.05, "k": 5.0},  # a name that surfaces have a use for themselves
         ),
         object_at=(0.1, 0.2),
+        angle=7.0,
     ),
 }
 

@@ -81,7 +81,7 @@ OF_QUADRIC = next(v.name for v in variable_table(RINGED).rows if v.name.startswi
         (K3, {"object.c": 0.25}, "object.b = 0.2 .* it must be greater than object.c = 0.25"),
         (RINGED, {"contact[1].finger.minor": 0.06}, r"finger.major = 0.05 is refused: it must"),
         (K3, {"disturbance[1].stop": 0.1}, r"stop = 0.1 is refused: it must be .*start = 0.1"),
-        (RINGED, {OF_QUADRIC: 5.0}, r" = 5(.0)? is refused: the parameters of this surface dep"),
+        (RINGED, {OF_QUADRIC: 5.0}, r" = 5(.0)? is refused now: it is constant, as the numbers of"),
     ],
 )
 def test_numbers_that_do_not_go_together_are_refused(scene, start, words, kind, version):

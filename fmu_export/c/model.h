@@ -19,7 +19,7 @@
 #endif
 
 #define DATA_MAGIC 20261124.0
-#define DATA_VERSION 6.0
+#define DATA_VERSION 7.0
 enum {
   D_MAGIC,
   D_VERSION,
@@ -48,7 +48,7 @@ enum {
   D_CORNERS, /* where legs of any contact begin, ascending, and how many */
   D_N_CORNERS,
   D_SENSOR, /* SENSOR_SIZE numbers */
-  D_ORDERS, /* pairs of references: the first value stays greater than the second; or as it is */
+  D_ORDERS, /* pairs of references: the first value stays greater than the second */
   D_N_ORDERS,
   D_OBJECT, /* BODY numbers */
   D_HEADER = D_OBJECT + 7
@@ -86,6 +86,7 @@ enum {
   P_UNKNOWN_2,
   P_LEGS,
   P_N_LEGS,
+  P_ANGLE, /* psi at the start, in the turn that the scene gives */
   P_SIZE
 };
 /* what contact_sensor.py finds a contact by: steps so short end it, or so many; steps so short are
@@ -120,8 +121,8 @@ enum {
   T_SIZE
 };
 
-enum { TIME_VALUE, GAIN, PROFILE };                             /* references */
-enum { CALCULATED, INDEPENDENT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */
+enum { TIME_VALUE, GAIN, PROFILE };                                       /* references */
+enum { CALCULATED, INDEPENDENT, CONSTANT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */
 enum { DISTURBANCES = 6 };
 
 /* one contact's place among the values */

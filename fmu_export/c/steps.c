@@ -12,7 +12,9 @@ static const char *place_contact(component_t *c, long i) {
   memset(s, 0, sizeof *s);
   s->begin = c->now->time, s->gain = c->value[GAIN];
   if (leaves_slip_behind(c, i)) no_slip(l, x);
-  const double *coordinates = c->value + l->at[OF_COORDINATES];
+  const double *coordinates = c->value + l->at[OF_COORDINATES]; /* whose psi is a principal value */
+  const double turn = 6.283185307179586, psi = coordinates[8];
+  const double turns = rint((contact_of(m, i)[P_ANGLE] - psi) / turn);
   to[K_MOMENT] = 1.0; /* psi = -theta_1 - theta_2, R_0 = diag(1, -1) */
   for (int side = 0; side < 2; x += l->frame[side++]) {
     double *place = to + (side ? K_PLACE_2 : K_PLACE_1);
@@ -23,7 +25,7 @@ static const char *place_contact(component_t *c, long i) {
     to[K_FRAMES] += 1 << side;
     memcpy(to + (side ? K_FRAME_2 : K_FRAME_1), x, 6 * sizeof *x);
     place[0] = coordinates[4 * side], place[1] = coordinates[4 * side + 1];
-    place[2] = side ? c->live[i].theta : -coordinates[8] - c->live[i].theta;
+    place[2] = side ? c->live[i].theta : -(psi + turns * turn) - c->live[i].theta;
   }
   memcpy(to + K_W1, x, 4 * sizeof *x);
   if (!all_finite(s->row, CONTACT_SIZE))
@@ -48,18 +50,13 @@ static void warm(component_t *c, long i) {
 static status_t try_start(component_t *c) {
   memory_t *now = c->now;
   const model_t *m = c->model;
-  const double *order = section(m, D_ORDERS), *starts = section(m, D_STARTS);
+  const double *order = section(m, D_ORDERS);
   study_profiles(c);
   if (now->limit <= now->time)
     return report(c, FAILED, "sigma is negative from t = %.9g s on; change the profile", now->time);
   for (long k = 0; k < (long)m->data[D_N_ORDERS]; k++, order += 2) {
     const long greater = (long)order[0], less = (long)order[1];
-    if (less == greater && c->value[less] != starts[less])
-      return report(c, FAILED,
-                    "%s = %.9g is refused: the parameters of this surface depend on each other and "
-                    "cannot be set individually; export a scene with another surface",
-                    m->names[less], c->value[less]);
-    if (less != greater && !(c->value[greater] > c->value[less]))
+    if (!(c->value[greater] > c->value[less]))
       return report(
           c, FAILED,
           "%s = %.9g is refused: it must be greater than %s = %.9g; set both, or export a "
