@@ -79,7 +79,8 @@ static void keep_coordinates(component_t *c, long i, int side, double frame[6], 
   c->engine->along(&(program_t){t->body, r}, c->along);
   if (!all_finite(r + t->first_out, 6)) return;
   memcpy(frame, r + t->first_out, 6 * sizeof *frame);
-  for (int a = 0; a < 6 * L && grows; a++) grows[0][a] += c->along[t->first_out][a];
+  for (int a = 0; a < 6 && grows; a++)
+    for (int k = 0; k < L; k++) grows[a][k] += c->along[t->first_out + a][k];
 }
 
 /* Both frames of contact i among these states, where they are in space. grows: of the point and
