@@ -85,20 +85,14 @@ def library(target: str, name: str) -> bytes:
     command = [*compiler, *FLAGS, "-DVARIANT=baseline", "-Wno-pass-failed", *linked]
     command += [f"-I{ENGINE}", *map(str, UNITS)]
     with tempfile.TemporaryDirectory(prefix="contact-system-") as folder:
-        built = Path(folder, f"{LONG_NAME}{row.suffix}")
+        # a Windows library carries its name, by which programs that are linked with it look for it
+        built = Path(folder, f"{name}{row.suffix}")
         command += ["-o", built.name, "-lm"]
         run = subprocess.run(command, cwd=folder, capture_output=True)
         if run.returncode:
             said = run.stderr[-2000:].decode(errors="replace")
             raise ContactSystemError(f"{' '.join(command)} failed:\n{said}")
-        found = built.read_bytes()
-    # A Windows library carries its name, and programs that are linked with it look for that one.
-    own, new = (f"{stem}.dll".encode() for stem in (LONG_NAME, name))
-    return found.replace(own, new.ljust(len(own), b"\0")) if row.suffix == ".dll" else found
-
-
-LONG_NAME = "contact_engine".ljust(110, "_")
-"""Longer than a model's."""
+        return built.read_bytes()
 
 
 @functools.cache
