@@ -195,9 +195,9 @@ def way_to(goal: RigidTransform, X: RigidTransform) -> Array:
     return np.append(turn.angle() * turn.axis(), goal.translation() - X.translation())
 
 
-def pressed_config(scene: Scene, config: StationConfig) -> StationConfig:
-    """The configuration with the normal force that its balance of the scene needs in the mean,
-    where the object is held still at the world's origin.
+def pressed_config(scene: Scene, config: StationConfig, until: float) -> StationConfig:
+    """The configuration with the normal force that its balance of the scene needs in the mean until
+    a time, s, where the object is held still at the world's origin.
 
     Raises
     ------
@@ -206,7 +206,7 @@ def pressed_config(scene: Scene, config: StationConfig) -> StationConfig:
     """
     if not config.balances:
         return config
-    t = np.linspace(0.0, scene.duration, KNOTS)
+    t = np.linspace(0.0, until, KNOTS)
     found = make_plan(scene).evaluate(t, "points", "states")
     at, weight = found["states"][..., 4:6], config.object_mass * config.gravity
     normals = -scene.object.normal(at[..., 0], at[..., 1])

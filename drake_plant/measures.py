@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
@@ -12,11 +13,8 @@ from numpy.typing import NDArray
 from contact_system import Scene, plan
 from contact_system.measures import REJECTED, windows
 
-from .balance import pressed_config
 from .config import require_config
 from .contact_monitor import SATURATED
-from .plan_check import exact_plan
-from .pressing import rolling_scene
 from .simulation import CONTINUOUS, SimulationResult, simulate
 
 if TYPE_CHECKING:
@@ -85,8 +83,8 @@ class ContactReport:
         Time from the disturbance's end until slip stays below 5 % of `disturbed_slip`, or below
         `slip_before` where that is greater [s]; inf if it is above when that is `followed` no more.
     followed : float
-        Time from the disturbance's end to the next one of the contact, the next push on it or the
-        object, or the end [s].
+        Time from the disturbance's end until the next one, or a push, of any body begins, or to the
+        end [s].
     reported : float
         Within how long the paper reports it [s].
     distance : float
@@ -121,33 +119,13 @@ class ContactReport:
         return not math.isnan(self.disturbed_slip)
 
     @property
-    def recovering(self) -> bool:
-        """Whether slip is followed for less than the time reported, and not rejected in that."""
-        return math.isinf(self.recovery) and self.followed < self.reported
-
-    @property
-    def as_reported(self) -> bool | None:
-        """Whether slip is rejected within the time reported, with all contacts kept.
-
-        None where nothing is to compare: nothing reported, no slip to be rejected, or not for long
-        enough.
-        """
-        if not self.disturbed or math.isnan(self.reported):
-            return None
-        if not self.kept:
-            return False
-        if self.recovering:
-            return None
-        return self.recovery <= self.reported if self.slid else None
-
-    @property
     def verdict(self) -> str:
         """In a word or two.
 
         "came off" the object, or "not kept" where another contact did or the object falls; else
         "undisturbed", or "pushed", where no disturbance is over by the end; "held", by friction
-        alone; "as reported", "not as reported" or "still recovering"; where nothing is reported
-        "rejected" or "not rejected".
+        alone; "rejected" or "not rejected" where no time is reported, else "as reported", "not as
+        reported", or "still recovering" where slip is followed for less than that time.
         """
         if not self.kept:
             return "came off" if self.off else "not kept"
@@ -155,11 +133,12 @@ class ContactReport:
             return "pushed" if self.pushed else "undisturbed"
         if not self.slid:
             return "held"
-        if self.recovering:
-            return "still recovering"
-        if self.as_reported is None:
-            return "rejected" if math.isfinite(self.recovery) else "not rejected"
-        return "as reported" if self.as_reported else "not as reported"
+        gone = math.isfinite(self.recovery)
+        if math.isnan(self.reported):
+            return "rejected" if gone else "not rejected"
+        if self.recovery <= self.reported:
+            return "as reported"
+        return "not as reported" if gone or self.followed >= self.reported else "still recovering"
 
 
 @dataclass(frozen=True)
@@ -301,9 +280,9 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
     planned, t = plan(result.scene), result.t  # the plan knows the windows of every contact
     disturbed = [windows(planned, i) for i in range(len(result.scene.contacts))]
     pushes = [(push.start, push.stop) for push in result.config.pushes]
-    edges = np.ravel([w for of_contact in (*disturbed, pushes) for w in of_contact])
-    early = t < min(edges, default=math.inf)
-    steady = (t >= EDGE) & (np.abs(t[:, None] - edges) > EDGE).all(1)
+    acting = np.array([*itertools.chain(*disturbed), *pushes]).reshape(-1, 2)
+    early = t < acting[:, 0].min(initial=math.inf)
+    steady = (t >= EDGE) & (np.abs(t[:, None] - acting.ravel()) > EDGE).all(1)
     speed = contact_speed(result.scene, result.planned["state"])
     apart = np.linalg.norm(misses(result), axis=2)
     off = time_off(result).sum(0)
@@ -314,9 +293,9 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
             off=float(off[i]),
             kept=kept,
             **_rolling(result, i, early, steady, speed[:, i], apart[:, i]),
-            **_rejection(result, i, acting, early),
+            **_rejection(result, i, own, acting[:, 0], early),
         )
-        for i, acting in enumerate(disturbed)
+        for i, own in enumerate(disturbed)
     ]
 
 
@@ -349,12 +328,9 @@ def durations(result: SimulationResult) -> Array:
 def misses(result: SimulationResult) -> Array:
     """From planned to measured contact points on the object, (m, n, 3), m; planned from the start
     on, where the planner restarts from what is measured."""
-    planned, t = result.planned["contact_point"], result.t
-    if result.config.restarts:
-        scene = rolling_scene(result.scene, pressed_config(result.scene, result.config))
-        first = exact_plan(scene, t[0], b"", t[-1])
-        planned = planned if first is None else first.points(t)[:, :, 1]
-    return result.measured["contact_point"] - planned
+    planned = result.planned
+    first = planned.get("first_contact_point", planned["contact_point"])
+    return result.measured["contact_point"] - first
 
 
 def contact_speed(scene: Scene, states: Array) -> Array:
@@ -365,13 +341,12 @@ def contact_speed(scene: Scene, states: Array) -> Array:
 
 def recovery_time(t: Array, slip: Array, since: float, level: float) -> float:
     """How long after a time a signal last lies at a level or above, s: 0 if it never does, inf if
-    it does at the end."""
+    it does at the end, or is not seen after that time."""
     after = t >= since
-    above = np.flatnonzero(slip[after] >= level)
-    if not len(above):
-        return 0.0
-    later = t[after][above[-1] + 1 :]
-    return float(later[0] - since) if len(later) else math.inf
+    t, above = t[after], slip[after] >= level
+    if not len(t) or above[-1]:
+        return math.inf
+    return float(t[np.flatnonzero(above)[-1] + 1] - since) if above.any() else 0.0
 
 
 def _rolling(
@@ -412,37 +387,39 @@ def _rejection(
     result: SimulationResult,
     i: int,
     disturbed: list[tuple[float, float]],
+    begins: Array,
     early: NDArray[np.bool_],
 ) -> dict[str, Any]:
-    """What the last disturbance did, if it was seen and is over."""
+    """What the last disturbance did, if it was seen and is over.
+
+    begins : when anything begins to act on any body, s
+    """
     t, slip = result.t, np.linalg.norm(result.measured["slip"][:, i], axis=1)
     bodies = (result.scene.contact_name(i), "object")
-    pushes = [p.start for p in result.config.pushes if p.on in bodies]
-    pushed = any(begin < t[-1] for begin in pushes)
+    pushed = any(push.on in bodies and push.start < t[-1] for push in result.config.pushes)
     over = [window for window in disturbed if window[1] <= t[-1]]
-    start, stop = over[-1] if over else (math.inf, math.inf)
-    first, last = np.maximum(np.searchsorted(t, (start, stop)), 1)  # no step ended at the first
-    # the row after it tells too what it did, and alone of one between two rows
-    during, seen = slice(first, max(last, first + 1)), slice(first, last + 1)
     if not over:
         nothing = ("disturbed_slip", "saturated", "recovery", "followed", "reported")
         return dict.fromkeys(nothing, math.nan) | {"slid": False, "pushed": pushed}
+    start, stop = over[-1]
+    first, last = np.maximum(np.searchsorted(t, (start, stop)), 1)  # no step ended at the first
+    # the row after it tells too what it did, and alone of one between two rows
+    during, seen = slice(first, max(last, first + 1)), slice(first, last + 1)
     normal, friction = _forces(result, i)
     # A finger that is off the object, or that nothing holds, has no friction to saturate.
     limit = result.config.friction * normal
-    at_limit = (friction >= SATURATED * limit) & (normal > 0)
+    at_limit = (friction >= SATURATED * limit) & (limit > 0)
     time = durations(result)[during]
     mean, before = _mean(slip[during], time), _greatest(slip[early & (t >= EDGE)])
     level = np.fmax(REJECTED * mean, before)
     sliding = (slip > np.fmax(SLIDING * before, CREEPING)) & (normal > 0)
     slid = bool((at_limit | sliding)[seen].any())
-    begins = [*pushes, *(begin for begin, _ in disturbed)]
-    until = min([t[-1], *(begin for begin in begins if begin >= stop)])
+    until = begins[begins >= stop].min(initial=t[-1])
     own = t <= until
     return {
         "pushed": pushed,
         "disturbed_slip": mean,
-        "saturated": _mean((at_limit & (friction > 0))[during], time),
+        "saturated": _mean(at_limit[during], time),
         "slid": slid,
         "recovery": recovery_time(t[own], slip[own], stop, level) if slid else math.nan,
         "followed": float(until - stop),

@@ -105,14 +105,16 @@ def build(
     scene: Scene,
     config: StationConfig,
     extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None,
+    until: float | None = None,
 ) -> tuple[Diagram, ScenePlant]:
+    """A station that is simulated until a time, s, or the scene's end."""
     if config.hand is not None:
         raise SceneError(
             f"{scene.title}: a hand holds its fingertips: give plan_reorientation(hand, scene) to "
             "BuildHandStation"
         )
     builder, least = DiagramBuilder(), config.normal_force
-    config = pressed_config(scene, config)
+    config = pressed_config(scene, config, scene.duration if until is None else until)
     parts = AddScenePlant(builder, scene, config)
     planned = rolling_scene(scene, config)
     planner = builder.AddNamedSystem("planner", _planner(planned, config))
