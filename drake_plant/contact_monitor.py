@@ -12,12 +12,14 @@ from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from contact_system import Plane, Scene, SceneError, Surface
+from contact_system.scene import require_scene
 from contact_system.scene.contact import rolled
 
 from .config import require_config
 from .contact_gauge import COLUMNS, NUMBERS, TINY, ContactGauges
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs
+from .pressing import contact_depth
 from .scratch import PerThread
 
 Array = NDArray[np.float64]
@@ -27,6 +29,8 @@ Array = NDArray[np.float64]
 AT_FINGER = 1.0
 SIZES = {name: rows.stop - rows.start for name, rows in COLUMNS.items()} | {"sliding": 3}
 NOISY = ("state", "sliding")
+ANOTHER = 0.1
+"""Of its size, by how much a body differs that is another one."""
 SATURATED = 0.95
 """Friction counts as saturated from this part of mu N on: facets let N itself ripple."""
 SLIDES = 0.7
@@ -88,18 +92,19 @@ class ContactMonitor(LeafSystem):
     Raises
     ------
     SceneError
-        No ScenePlant, or one of other surfaces or contacts than the scene.
+        No ScenePlant, or one of other surfaces, sizes or contacts than the scene.
     """
 
     __slots__ = NO_DICTIONARY
 
     def __init__(self, scene: Scene, scene_plant: ScenePlant):
         super().__init__()
+        require_scene(scene)
         require_config(scene_plant, ScenePlant, "scene_plant")
         n = len(scene.contacts)
-        if _kinds(scene) != _kinds(scene_plant.scene):
+        if not _alike(scene, scene_plant.scene, 2 * contact_depth(scene_plant.config)):
             raise SceneError(
-                f"{scene.title} has other surfaces or contacts than scene_plant, of "
+                f"{scene.title} has other surfaces, sizes or contacts than scene_plant, of "
                 f"{scene_plant.scene.title}: give the scene that it was made for, or rolling_scene "
                 "of it"
             )
@@ -151,8 +156,13 @@ class ContactMonitor(LeafSystem):
         return gauges.measure()
 
 
-def _kinds(scene: Scene) -> list[type[Surface]]:
-    return [type(body) for body in (scene.object, *(c.finger for c in scene.contacts))]
+def _alike(one: Scene, other: Scene, pressed: float) -> bool:
+    """Whether two scenes have the same bodies, but for what contact presses in, m."""
+    bodies = [(scene.object, *(c.finger for c in scene.contacts)) for scene in (one, other)]
+    return len(bodies[0]) == len(bodies[1]) and all(
+        type(a) is type(b) and abs(a.size - b.size) <= max(ANOTHER * b.size, pressed)
+        for a, b in zip(*bodies)
+    )
 
 
 def _slip(finger: Surface, obj: Surface, state: Array) -> Array:

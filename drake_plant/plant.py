@@ -199,6 +199,7 @@ def AddScenePlant(
         has a system "plant", "scene_graph" or "turning" already, with the remedy.
     """
     require_scene(scene)
+    require_config(builder, DiagramBuilder, "builder")
     if config is None:
         config = StationConfig.from_scene(scene)
     try:

@@ -10,7 +10,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +35,7 @@ from .force_balancer import COLUMNS, ForceBalancer
 from .object_acceleration import ObjectAcceleration
 from .plan_check import TOLERANCE
 from .plan_source import PlanSource
-from .planner_base import PlannerBase
+from .planner_base import ONCE, PlannerBase
 from .planner_system import ContactPlanner
 from .plant import AddScenePlant, ScenePlant, turning_angle
 from .pressing import contact_depth, depth_between, rolling_scene
@@ -86,7 +88,7 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
     ------
     SceneError, SurfaceError
         A value of the configuration, or what :func:`AddScenePlant` and :class:`ContactPlanner`
-        cannot do, with the remedy.
+        cannot do, with the remedy; in a simulation with meshes, a time beyond the scene's end.
     """
     return build(scene, checked(scene, config))[0]
 
@@ -154,6 +156,9 @@ def build(
     if config.disturbance_input:
         builder.ExportInput(planner.GetInputPort("disturbance"), "disturbance")
     _export(builder, planner, driver, monitor, parts)
+    if config.contact_model == "hydroelastic":
+        end = math.nextafter(scene.duration, math.inf)
+        planner.DeclarePeriodicPublishEvent(ONCE, end, partial(_refuse_end, scene))
     if extend is not None:
         extend(builder, parts)
     return builder.Build(), parts
@@ -194,6 +199,13 @@ def _export(
     for name in ("body_poses", "contact_results"):
         builder.ExportOutput(plant.GetOutputPort(name), name)
     builder.ExportOutput(parts.scene_graph.get_query_output_port(), "query")
+
+
+def _refuse_end(scene: Scene, context: Context) -> None:
+    raise SceneError(
+        f"{scene.title}: the station's meshes reach as far as contacts go until the scene's end at "
+        f"{scene.duration:g} s; to simulate longer build it of scene.replace(duration=...)"
+    )
 
 
 def _planner(scene: Scene, config: StationConfig) -> PlannerBase:

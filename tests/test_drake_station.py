@@ -593,6 +593,21 @@ def test_fingers_move_as_planned_whether_gravity_pulls_them_or_not(heavy):
     assert (X_WO.inverse() @ X_WF).IsNearlyEqualTo(X_OF, 1e-5)
 
 
+def test_only_what_is_simulated_has_to_be_held_and_meshes_reach_as_far_as_the_scene_lasts():
+    scene = cs.load_scene("D1")
+    heavy = config(scene, gravity=9.81)
+    simulate(scene, heavy, duration=0.01)
+    with pytest.raises(cs.SceneError, match="'D1': t = 0.48 s: no contact forces within 80%"):
+        simulate(scene, heavy)
+    scene = cs.load_scene("C2").replace(duration=0.01)
+    station = BuildStation(scene, StationConfig(object="welded"))
+    simulator = Simulator(station)
+    SetInitialState(station, simulator.get_mutable_context())
+    simulator.AdvanceTo(0.01)
+    with pytest.raises(cs.SceneError, match=r"'C2': .* end at 0.01 s; .* scene.replace\(duration="):
+        simulator.AdvanceTo(0.02)
+
+
 # --- configuration, and what is refused
 
 
@@ -693,9 +708,14 @@ def test_arguments_of_another_kind_are_refused_by_name(tmp_path):
     parts = AddScenePlant(builder, scene, given)
     refused = [
         (lambda: AddScenePlant(builder, scene, {}), "'D1', plant: config = {}: give a Station"),
-        (
-            lambda: ContactMonitor(cs.load_scene("K4"), parts),
-            "'K4' has other surfaces .* 'D1': give",
+        (lambda: AddScenePlant(3, scene), "builder = 3: give a DiagramBuilder"),
+        *(
+            (lambda other=other: ContactMonitor(other, parts), f"'{name}' has other .* 'D1': give")
+            for name, other in (
+                ("K4", cs.load_scene("K4")),
+                ("D1", scene.replace(object=cs.Sphere(0.12))),
+                ("D1", scene.replace(contacts=scene.contacts[1:], disturbances=[])),
+            )
         ),
         (lambda: Recording(0), "frames = 0: give a finite number above"),
         (lambda: film.Save("film.html"), "nothing to save in film.html: call Add before"),
