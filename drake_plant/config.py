@@ -89,10 +89,12 @@ class Push:
             finite_number(getattr(self, key), key, "not below 0")
         if not self.start < self.stop:
             raise SceneError(f"stop = {self.stop!r}: give a time after start = {self.start!r}")
-        if not isinstance(self.force, (list, tuple, np.ndarray)) or len(self.force) != 3:
-            raise SceneError(f"force = {self.force!r}: give three numbers, N, in the world")
-        for value in self.force:
-            finite_number(value, "force")
+        _three_numbers(self.force, "force")
+
+
+def _three_numbers(vector: Any, name: str) -> None:
+    if len(finite_numbers(vector, name)) != 3:
+        raise SceneError(f"{name} = {vector!r}: give three numbers")
 
 
 def body_names(scene: Scene) -> list[str]:
@@ -288,10 +290,9 @@ class StationConfig:
     def _check_way(self) -> None:
         if not isinstance(self.turn, (list, tuple)):
             raise SceneError(f"turn = {self.turn!r}: give lists of three numbers, degrees")
-        vectors = {"move": self.move} | {f"turn[{k}]": turn for k, turn in enumerate(self.turn)}
-        for name, vector in vectors.items():
-            if len(finite_numbers(vector, name)) != 3:
-                raise SceneError(f"{name} = {vector!r}: give three numbers")
+        _three_numbers(self.move, "move")
+        for k, turn in enumerate(self.turn):
+            _three_numbers(turn, f"turn[{k}]")
 
     def _check_used(self) -> None:
         if self.hand is None:
@@ -356,6 +357,17 @@ class StationConfig:
             ]
             config.check(scene)
         return config
+
+
+def checked(scene: Scene, config: StationConfig | None, what: str) -> StationConfig:
+    """The configuration, or what the scene's table says, that ``what`` is made from."""
+    require_scene(scene)
+    if config is None:
+        return StationConfig.from_scene(scene)
+    with naming(f"{scene.title}, {what}"):
+        require_config(config, StationConfig)
+        config.check(scene)
+    return config
 
 
 def _made(kind: Any, given: Any, name: str) -> Any:

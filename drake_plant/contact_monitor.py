@@ -119,18 +119,18 @@ class ContactMonitor(LeafSystem):
         self._results, self._poses, self._velocities = inputs
         self._noise = self.DeclareVectorInputPort("noise", 9 * n)
         tickets = [port.ticket() for port in inputs]
-        measured, self.Measured = array_entry(self._CalcMeasured, (n, NUMBERS), tickets)
+        measured, self._measured = array_entry(self._CalcMeasured, (n, NUMBERS), tickets)
         for name, size in SIZES.items():
             needs = {measured, self._noise.ticket()} if name in NOISY else {measured}
             calc = weakly(self._CalcVector, name)
             self.DeclareVectorOutputPort(name, size * n, calc, needs)
 
     def _CalcVector(self, name: str, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self.Evaluate(context, name).ravel())
+        output.SetFromVector(self._Rows(context, name).ravel())
 
-    def Evaluate(self, context: Context, name: str) -> Array:
-        """What the output port of this name says, a row for each contact; not to be kept."""
-        measured = self.Measured(context)
+    def _Rows(self, context: Context, name: str) -> Array:
+        """What the output port of this name says, a row for each contact."""
+        measured = self._measured(context)
         if name not in NOISY:
             return measured[:, COLUMNS[name]]
         states = measured[:, COLUMNS["state"]]

@@ -75,12 +75,8 @@ class ForceBalancer(LeafSystem):
             size, calc = n * (rows.stop - rows.start), weakly(self._CalcVector, name)
             self.DeclareVectorOutputPort(name, size, calc, {ticket})
 
-    def Evaluate(self, context: Context, name: str) -> Array:
-        """What the output port of this name says, a row for each contact; not to be kept."""
-        return self._found(context)[:, COLUMNS[name]]
-
     def _CalcVector(self, name: str, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self.Evaluate(context, name).ravel())
+        output.SetFromVector(self._found(context)[:, COLUMNS[name]].ravel())
 
     def _CalcFound(self, context: Context) -> Array:
         X_WO = self._poses.Eval(context)[self._index]

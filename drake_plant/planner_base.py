@@ -36,16 +36,7 @@ MOTION = {"pose": 12} | {name: PORTS[name] for name in PORTS if name not in ("st
 Array = np.ndarray
 
 # What is derived from a scene is large: planners of the same one share it.
-_shared_system = functools.lru_cache(maxsize=16)(SceneSystem)
-
-
-def scene_system(*options: Any) -> SceneSystem:
-    """The SceneSystem of a scene, coordinates and disturbance_input."""
-    try:
-        hash(options)
-    except TypeError:  # a list in the place of a scene or a word: it says which
-        return SceneSystem(*options)
-    return _shared_system(*options)
+scene_system = functools.lru_cache(maxsize=16)(SceneSystem)
 
 
 _System: Any = object  # LeafSystem_[T] comes behind it in each class

@@ -35,7 +35,7 @@ from .plan_check import (
     refuse_drift,
     refuse_singularity,
 )
-from .planner_base import EARLY, MOTION, PORTS, PlannerBase, scene_system
+from .planner_base import MOTION, PORTS, PlannerBase, scene_system
 from .scalars import evaluate_scalars
 from .scratch import PerThread, Scratch
 
@@ -46,17 +46,14 @@ RESTING = 1e-3
 Array = np.ndarray
 
 
-def _period(restart_period: float | None, restart_distance: float | None) -> float | None:
-    """Of restarts, s, where there are any."""
-    return LOOK if restart_period is None and restart_distance is not None else restart_period
-
-
-def _check_restart(scene: Scene, period: Any, distance: Any) -> None:
+def _restart_period(scene: Scene, period: float | None, distance: float | None) -> float | None:
+    """How often the planner may restart, s, where it restarts."""
     what = f"{scene.title}: restart_"
-    if period is not None and finite_number(period, f"{what}period", "above 0") < 2 * EARLY:
-        raise SceneError(f"{what}period = {period!r}: give a time of 2e-9 s or more, or None")
     if distance is not None:
         finite_number(distance, f"{what}distance", "not below 0")
+    if period is None:
+        return None if distance is None else LOOK
+    return finite_number(period, f"{what}period", "above 0")
 
 
 class _Convertible(PlannerBase):
@@ -165,7 +162,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         By default charts, or frames where the scene has legs, sigma = 0 or a surface without one.
     disturbance_input : bool
     restart_period : float, optional
-        s, at least 2e-9 s. A discrete plant's state between two steps is that of the next one:
+        s. A discrete plant's state between two steps is that of the next one:
         with one, give a multiple of its time step.
     restart_distance : float, optional
         m, 0 or more.
@@ -199,7 +196,7 @@ class ContactPlanner(_Convertible, LeafSystem):
     ):
         LeafSystem.__init__(self, converter=_converter())
         system = scene_system(scene, coordinates, disturbance_input)
-        _check_restart(scene, restart_period, restart_distance)
+        period = _restart_period(scene, restart_period, restart_distance)
         what = f"{scene.title}: tolerance"
         self._tolerance = finite_number(tolerance, what, "above 0")
         self._distance = restart_distance
@@ -211,7 +208,7 @@ class ContactPlanner(_Convertible, LeafSystem):
             restart_distance=restart_distance,
             tolerance=tolerance,
         )
-        self._Declare(system, system.x0, _period(restart_period, restart_distance))
+        self._Declare(system, system.x0, period)
         self._scratches = PerThread(partial(Scratch, system), {})
         self._exact = functools.lru_cache(maxsize=16)(partial(exact_plan, scene))
         self._DeclareWatch()
@@ -394,9 +391,9 @@ def _scalar_planner(T: type) -> type:
 
         def __init__(self, other: PlannerBase):
             Base.__init__(self, converter=_converter())
-            self.T, self._options = T, other._options
-            period = _period(self._options["restart_period"], self._options["restart_distance"])
-            self._Declare(other.system, other.system.x0, period)
+            self.T, self._options, system = T, other._options, other.system
+            restarts = (self._options[f"restart_{name}"] for name in ("period", "distance"))
+            self._Declare(system, system.x0, _restart_period(system.scene, *restarts))
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             derivatives.SetFromVector(self._Numbers(context, "derivatives"))

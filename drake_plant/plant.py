@@ -75,9 +75,8 @@ from contact_system import (
 )
 from contact_system.errors import ContactSystemError
 from contact_system.plots.style import BODY, colour_of
-from contact_system.scene import require_scene
 
-from .config import EDGES, StationConfig, require_config
+from .config import EDGES, StationConfig, checked, require_config
 from .domains import Domain, domain_of
 from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
 from .hand_kinematics import add_hand
@@ -198,13 +197,9 @@ def AddScenePlant(
         A value of the configuration, a surface that Drake's contact cannot take, or a builder that
         has a system "plant", "scene_graph" or "turning" already, with the remedy.
     """
-    require_scene(scene)
     require_config(builder, DiagramBuilder, "builder")
-    if config is None:
-        config = StationConfig.from_scene(scene)
+    config = checked(scene, config, "plant")
     try:
-        require_config(config, StationConfig)
-        config.check(scene)
         _check_names(builder, config)
         config = dataclasses.replace(config)  # the caller may change what is his
         _check_surfaces(scene, config)

@@ -20,17 +20,18 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import Context, Diagram, EventStatus
 
 from contact_system import ContactSystemError, Scene, SceneError, plan
-from contact_system.checks import a_path, finite_number, function_or_none
+from contact_system.checks import a_path, finite_number
 from contact_system.scene import scene_to_toml
 from contact_system.writing import writing
 
 from .balance import friction_used
-from .config import StationConfig
+from .config import StationConfig, checked
 from .contact_gauge import COLUMNS
+from .contact_monitor import SIZES
 from .planner_base import PORTS
 from .plant import ScenePlant
 from .reorientation import plan_reorientation
-from .station import SetInitialState, build, checked
+from .station import SetInitialState, build
 
 Array = NDArray[np.float64]
 
@@ -159,7 +160,7 @@ def simulate(
         :func:`BuildStation` raises.
     """
     gc.collect()  # Diagrams are cycles: free those of runs before this one
-    config = checked(scene, config)
+    config = checked(scene, config, "station")
     duration = scene.duration if duration is None else duration
     step = config.time_step or CONTINUOUS.max_step_size
     if not finite_number(duration, f"{scene.title}: duration") >= step:
@@ -173,7 +174,6 @@ def simulate(
             f"duration of {duration:g} s: simulate less, or lengthen the scene"
         )
     period = step * max(1, math.floor(min(LOGGED, duration) / step + NEAR))
-    function_or_none(progress, f"{scene.title}: progress", "a function of a time")
     film = None
     if recording is not None:
         recording = a_path(recording, f"{scene.title}: recording")
@@ -200,7 +200,9 @@ def simulate(
     ApplySimulatorConfig(INTEGRATION if config.time_step else CONTINUOUS, simulator)
     context = simulator.get_mutable_context()
     SetInitialState(station, context)
-    log = Log(station, context, parts, _planners(station, context), period)
+    asked = _ports(station, context, "planner", "planned", PLANNED)
+    asked |= _ports(station, context, "balancer", "planned", BALANCED)
+    log = Log(station, context, parts, asked, period)
     ended = log.follow(simulator, duration, progress)
     t, said = log.read()
     measured = measurements(said, config)
@@ -226,13 +228,9 @@ class Log:
     def __init__(
         self, station: Diagram, root: Context, parts: ScenePlant, asked: Asked, period: float
     ):
-        plant, monitor = parts.plant, station.GetSubsystemByName("monitor")
-        physics = plant.GetMyContextFromRoot(root)
-        self._asked: Asked = {
-            "pose": lambda: parts.object_body.EvalPoseInWorld(physics).GetAsMatrix4(),
-            "measured": partial(monitor.Measured, monitor.GetMyContextFromRoot(root)),
-        }
-        self._asked |= asked
+        plant, physics = parts.plant, parts.plant.GetMyContextFromRoot(root)
+        self._asked = asked | _ports(station, root, "monitor", "measured", tuple(COLUMNS))
+        self._asked["pose"] = lambda: parts.object_body.EvalPoseInWorld(physics).GetAsMatrix4()
         instances = [body.model_instance() for body in parts.finger_bodies]
         ports = [plant.get_generalized_contact_forces_output_port(i) for i in instances]
         self._pressing = [partial(port.Eval, physics) for port in ports if port.size()]
@@ -276,7 +274,7 @@ class Log:
     def _all_press(self) -> bool:
         if self._pressing:  # quicker than to measure
             return all(any(force().tolist()) for force in self._pressing)
-        return bool((self._asked["measured"]()[:, COLUMNS["normal_force"]] > 0).all())
+        return bool((self._asked["measured_normal_force"]() > 0).all())
 
     def read(self) -> tuple[Array, dict[str, Array]]:
         """Times, and what was said then."""
@@ -284,34 +282,34 @@ class Log:
         return np.array(self._t), said
 
 
-def _planners(station: Diagram, root: Context) -> Asked:
-    """What planner, and balancer, are asked for."""
-    planner = station.GetSubsystemByName("planner")
-    own = planner.GetMyContextFromRoot(root)
-    asked: Asked = {"planned": partial(planner.Evaluate, own, *PLANNED)}
-    if station.HasSubsystemNamed("balancer"):
-        balancer = station.GetSubsystemByName("balancer")
-        own = balancer.GetMyContextFromRoot(root)
-        asked |= {name: partial(balancer.Evaluate, own, name) for name in BALANCED}
-    return asked
+def _ports(station: Diagram, root: Context, owner: str, kind: str, names: tuple[str, ...]) -> Asked:
+    """What output ports of a system say, if the station has it, such as "measured_slip"."""
+    if not station.HasSubsystemNamed(owner):
+        return {}
+    system = station.GetSubsystemByName(owner)
+    own = system.GetMyContextFromRoot(root)
+    return {f"{kind}_{name}": partial(system.GetOutputPort(name).Eval, own) for name in names}
+
+
+def _by_contact(said: Array, width: int) -> Array:
+    return said.reshape(len(said), -1, width)
 
 
 def _planned(
     said: Mapping[str, Array], measured: Mapping[str, Array], config: StationConfig
 ) -> dict[str, Array]:
     """As a SimulationResult has it."""
-    ends = np.cumsum([PORTS[name] for name in PLANNED])[:-1]
-    planned = dict(zip(PLANNED, np.split(said["planned"], ends, axis=2)))
+    planned = {name: _by_contact(said[f"planned_{name}"], PORTS[name]) for name in PLANNED}
     planned["contact_point"] = planned["contact_point"][:, :, 3:]
     for name, constant in zip(BALANCED, (config.normal_force, 0.0)):
-        value = said[name][:, :, 0] if name in said else constant
-        planned[name] = np.full_like(measured["normal_force"], value)
+        always = np.full_like(measured["normal_force"], constant)
+        planned[name] = said.get(f"planned_{name}", always)
     return planned
 
 
 def measurements(said: Mapping[str, Array], config: StationConfig) -> dict[str, Array]:
     """As a SimulationResult has them."""
-    measured = {name: said["measured"][:, :, rows] for name, rows in COLUMNS.items()}
+    measured = {name: _by_contact(said[f"measured_{name}"], SIZES[name]) for name in COLUMNS}
     normal = measured["normal_force"] = measured["normal_force"][:, :, 0]
     forces = np.dstack([measured["tangential_force"], normal])
     measured["friction_used"] = friction_used(forces, [0.0, 0.0, 1.0], config.friction)

@@ -24,11 +24,9 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSyst
 
 from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
-from contact_system.checks import naming
-from contact_system.scene import require_scene
 
 from .balance import pressed_config
-from .config import StationConfig, require_config
+from .config import StationConfig, checked
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import FingertipDriver
 from .force_balancer import COLUMNS, ForceBalancer
@@ -90,17 +88,7 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
         A value of the configuration, or what :func:`AddScenePlant` and :class:`ContactPlanner`
         cannot do, with the remedy; in a simulation with meshes, a time beyond the scene's end.
     """
-    return build(scene, checked(scene, config))[0]
-
-
-def checked(scene: Scene, config: StationConfig | None) -> StationConfig:
-    if config is None:
-        return StationConfig.from_scene(scene)
-    require_scene(scene)
-    with naming(f"{scene.title}, station"):
-        require_config(config, StationConfig)
-        config.check(scene)
-    return config
+    return build(scene, checked(scene, config, "station"))[0]
 
 
 def build(
@@ -274,7 +262,7 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         balancer = station.GetSubsystemByName("balancer")
         own = balancer.GetMyMutableContextFromRoot(context)
         own.get_mutable_abstract_parameter(0).set_value(X_WO)
-        forces = balancer.Evaluate(own, "normal_force").ravel()
+        forces = balancer.GetOutputPort("normal_force").Eval(own)
     R_WO = X_WO.rotation()
     twist, change = (planner.GetOutputPort(name).Eval(now) for name in ("twist", "acceleration"))
     twists = (twist - ago * change).reshape(-1, 6)
