@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import partial
 
@@ -33,7 +32,7 @@ from .force_balancer import COLUMNS, ForceBalancer
 from .object_acceleration import ObjectAcceleration
 from .plan_check import TOLERANCE
 from .plan_source import PlanSource
-from .planner_base import ONCE, PlannerBase
+from .planner_base import PlannerBase
 from .planner_system import ContactPlanner
 from .plant import AddScenePlant, ScenePlant, turning_angle
 from .pressing import contact_depth, depth_between, rolling_scene
@@ -41,6 +40,7 @@ from .pushes import PushSource
 
 Array = NDArray[np.float64]
 
+ROUNDING = 1e-9  # of a time that is a sum of steps
 STARTED = {"planner": PlannerBase, "driver": FingertipDriver, "plant": MultibodyPlant}
 
 
@@ -145,8 +145,7 @@ def build(
         builder.ExportInput(planner.GetInputPort("disturbance"), "disturbance")
     _export(builder, planner, driver, monitor, parts)
     if config.contact_model == "hydroelastic":
-        end = math.nextafter(scene.duration, math.inf)
-        planner.DeclarePeriodicPublishEvent(ONCE, end, partial(_refuse_end, scene))
+        planner.DeclarePerStepPublishEvent(partial(_refuse_beyond, scene))
     if extend is not None:
         extend(builder, parts)
     return builder.Build(), parts
@@ -189,11 +188,13 @@ def _export(
     builder.ExportOutput(parts.scene_graph.get_query_output_port(), "query")
 
 
-def _refuse_end(scene: Scene, context: Context) -> None:
-    raise SceneError(
-        f"{scene.title}: the station's meshes reach as far as contacts go until the scene's end at "
-        f"{scene.duration:g} s; to simulate longer build it of scene.replace(duration=...)"
-    )
+def _refuse_beyond(scene: Scene, context: Context) -> None:
+    if context.get_time() > scene.duration * (1 + ROUNDING):
+        raise SceneError(
+            f"{scene.title}: t = {context.get_time():.6g} s: the station's meshes reach as far as "
+            f"contacts go until the scene's end at {scene.duration:g} s; to simulate longer build "
+            "it of scene.replace(duration=...)"
+        )
 
 
 def _planner(scene: Scene, config: StationConfig) -> PlannerBase:
