@@ -126,7 +126,8 @@ def balancing_forces(
         k = int(np.argmax(most >= min(LEFT, most.max())))
         acts = -left[k]
         acts[3:] += np.cross(middle[k] / length, acts[:3])  # about the origin
-        acts = size * np.repeat([1.0, length], 3) * np.round(acts, 4)
+        acts[np.abs(acts) < LEFT * np.abs(acts).max()] = 0.0
+        acts *= size * np.repeat([1.0, length], 3)
         when = "" if t is None else f"t = {np.ravel(t)[k]:.6g} s: "
         raise SceneError(when + _no_grasp(acts, margin, friction))
     return size * np.einsum("mnij,mnj->mni", frames, forces)
