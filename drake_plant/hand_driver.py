@@ -2,10 +2,10 @@ r"""Torques that make a hand move an object as planned, pressing as planned.
 
 Of every finger, with J its tip's Jacobian and F_tip the wrench of `tip_law`,
 
-.. math:: \tau = \tau_{id}(q, \dot q, \ddot q_d) - g(q) + J^T F_{tip}
-                 + K_q (q_d - q) + D_q (\dot q_d - \dot q)
+.. math:: \tau = \tau_{id}(q, \dot q, \ddot q) - g(q) + J^T F_{tip},
+                 \quad \ddot q = \ddot q_d + \omega^2 (q_d - q) + 2 \omega (\dot q_d - \dot q)
 
-The first two terms carry the links, the last two hold what the tip's pose leaves free. What the
+The first two terms carry the links, and hold what the tip's pose leaves free. What the
 object is measured to be off its path moves the tips' places, slowly: they are turned and shifted
 against it, as one body about the object's middle.
 """
@@ -33,9 +33,9 @@ from .tip_law import CONSTANT, TIP, WANTED, tip_constants, tip_wrench
 
 Array = NDArray[np.float64]
 
-POSTURE, POSTURE_DAMPING = 0.4, 0.01  # N m and N m s, of what the tips' places leave free
+POSTURE = 30.0  # 1/s, omega
 CORRECTION = 8.0  # 1/s, of what the object is off its path
-MOST = 0.02, 0.3  # m and rad, by which tips' places are corrected
+MOST = 0.3  # of the object's size, and rad, by which tips' places are corrected
 
 
 HELD = {**TIP, "slip": 3, **WANTED}
@@ -128,8 +128,8 @@ class HandDriver(LeafSystem):
             p = given["X_WT"][i, :, 3]
             p += shift + cross(turn, p - want["place"])
         chains.put(q, v)
-        torque = chains.carrying(want["a"])
-        torque += POSTURE * (want["q"] - q) + POSTURE_DAMPING * (want["v"] - v)
+        back = POSTURE * (POSTURE * (want["q"] - q) + 2 * (want["v"] - v))
+        torque = chains.carrying(want["a"] + back)
         jacobians = [chains.jacobian(i) for i in range(len(chains.tips))]
         for i, J in enumerate(jacobians):
             given["X_WF"][i], given["V_WF"][i] = chains.pose(i).GetAsMatrix34(), J @ v
@@ -157,8 +157,8 @@ class HandDriver(LeafSystem):
         off = way_to(self.plan.path.GetPose(context.get_time()), X_WO)
         now = state.get_mutable_discrete_state().get_mutable_value()
         now += CORRECTION * self._step * off
-        for part, most in ((now[:3], MOST[1]), (now[3:], MOST[0])):
-            part *= min(1.0, most / max(float(np.linalg.norm(part)), 1e-9))
+        for part, size in ((now[:3], 1.0), (now[3:], self.plan.scene.object.size)):
+            part *= min(1.0, MOST * size / max(float(np.linalg.norm(part)), 1e-9))
 
 
 def _own(plan: Reorientation, constants: list[list[float]]) -> tuple[Chains, FingerTables]:
