@@ -118,6 +118,7 @@ class ChartContact:
     ) -> OdeSolution:
         """Integrate from edge to edge, with the disturbances that act there."""
         what = f"{self._where}: {solver}: evaluations of the plan's chart equations"
+        remedy = "give a greater tolerance, use the default method"
         machine = SystemMachine(self._system, "derivatives")
         state, held = self._system.place(float(self._edges[0]), [start])
         ends = np.cumsum([1, len(state), self._system.n_w])
@@ -129,7 +130,7 @@ class ChartContact:
             pushes[:] = acting
 
             def f(t: float, x: np.ndarray) -> np.ndarray:
-                within("EVALUATIONS", next(spent), what)
+                within("EVALUATIONS", next(spent), what, remedy=remedy)
                 time[0], place[:] = t, x
                 machine.run()
                 return machine.results.copy()

@@ -33,14 +33,18 @@ def naming(place: str) -> Iterator[None]:
 
 
 def within(
-    limit: str, count: float, what: str, error: type[ContactSystemError] = SceneError
+    limit: str,
+    count: float,
+    what: str,
+    error: type[ContactSystemError] = SceneError,
+    remedy: str = "ask for less",
 ) -> None:
     """Raise the error if a count is above one of `limits`; `what` names what is counted."""
     most = getattr(limits, limit)
     if count > most:
         raise error(
-            f"{what}: {min(count, 1e300):.15g}, and the limit is {most:.15g}; ask for less, or "
-            f"set contact_system.limits.{limit} higher"
+            f"{what}: {min(count, 1e300):.15g}, and the limit is {most:.15g}; {remedy}, or set "
+            f"contact_system.limits.{limit} higher"
         )
 
 
@@ -114,8 +118,8 @@ def finite_number(
         number = _as_float(value)
     except (TypeError, ValueError):
         number = math.nan
-    within = number > 0 or not bound or (number == 0 and bound != "above 0")
-    if not (within and abs(number) < LARGEST):
+    allowed = number > 0 or not bound or (number == 0 and bound != "above 0")
+    if not (allowed and abs(number) < LARGEST):
         shown = number if math.isinf(number) else value  # an integer may be too long to show
         limit = "(below 1e100)" if abs(number) >= LARGEST else bound
         raise error(f"{what} = {shown!r}: give a finite number {limit}".rstrip())
@@ -138,9 +142,13 @@ def real_array(values: Any) -> np.ndarray:
     """The values as an array of floats; an array of floats is not copied.
 
     Raises a TypeError, a ValueError or an OverflowError for anything but real numbers, including
-    texts, booleans, complex numbers and None, which numpy would convert.
+    texts, booleans, complex numbers and None, which numpy would convert, and for masked numbers,
+    whose mask it would drop.
     """
     array = np.asarray(values)
+    if array is not values and isinstance(values, np.ndarray):
+        if np.any(getattr(values, "mask", False)):
+            raise TypeError
     if array.dtype is FLOAT:
         return array
     kind = array.dtype.kind

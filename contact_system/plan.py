@@ -154,8 +154,14 @@ class Plan:
         Raises
         ------
         ContactSystemError
-            An unknown name, a time outside the horizon, or an error of one of the methods.
+            No name or an unknown one, a time outside the horizon, or an error of one of the
+            methods.
         """
+        if not names:
+            raise ContactSystemError(
+                f"{self.scene.title}: no result is asked for; name at least one of "
+                f"{', '.join(SHAPES)}"
+            )
         for name in names:
             if not isinstance(name, str) or name not in SHAPES:
                 raise ContactSystemError(
@@ -505,7 +511,7 @@ def each_once(*times: ArrayLike) -> np.ndarray:
 
 
 def _one_axis(t: ArrayLike) -> np.ndarray:
-    if not (isinstance(t, np.ndarray) and t.dtype is FLOAT):
+    if not (type(t) is np.ndarray and t.dtype is FLOAT):
         t = shaped_array(
             t, "t", None, ContactSystemError, "a time in seconds, or one axis of times"
         )

@@ -50,7 +50,7 @@ def test_evaluate_gives_what_the_single_methods_give(name):
         (("points", "twsit"), "'twsit'.*did you mean 'twist'"),
         (("point",), "'point'.*did you mean 'points'"),
         (("velocity",), "'velocity'.*states"),
-        ((None,), "None"),
+        ((), "no result is asked for; name .* of states, points"),
         ((["points", "twist"],), r"\['points', 'twist'\]"),
     ],
 )
