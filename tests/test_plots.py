@@ -89,8 +89,8 @@ def test_names_are_drawn_as_they_are(tmp_path):
 def test_curves_have_the_numbers_of_the_legend_and_share_them_where_they_coincide(tmp_path):
     matplotlib = pytest.importorskip("matplotlib")
     named = [cs.Contact(finger=FINGER, object_at=(1.0, 0.2), name="finger 12")]
-    cases = {"1,2,3": cs.load_scene("K1"), "12": _scene(cs.Sphere(0.1)).replace(contacts=named)}
-    for number, scene in cases.items():
+    alone, both = (_scene(cs.Sphere(0.1)).replace(contacts=k * named) for k in (1, 2))
+    for number, scene in {"1,2,3": cs.load_scene("K1"), "12": alone, "finger 12 (1)": both}.items():
         with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text
             plots.plot_curves(cs.plan(scene), tmp_path / "x.svg")
         assert f">{number}<" in (tmp_path / "x.svg").read_text()

@@ -107,8 +107,8 @@ class Scene:
         """
         if all(contact.legs for contact in self.contacts):
             raise SceneError(
-                f"{self.title}: no contact has the scene's profile, as all have legs; how slip "
-                "shrinks along them cs.rejections(cs.plan(scene)) tells"
+                f"{self.title}: no contact has the scene's profile, as all have legs; "
+                "cs.rejections(cs.plan(scene)) tells how slip shrinks along them"
             )
         return contraction(self.profile, self.gain, self.duration)
 
@@ -133,13 +133,18 @@ class Scene:
         return made
 
     def contact_name(self, index: int) -> str:
-        """The contact's name for tables and pictures, or "contact" and its index."""
+        """The contact's name for tables and pictures, or "contact" and its index.
+
+        The index follows a name that several contacts have.
+        """
         if not isinstance(index, numbers.Integral) or not 0 <= index < len(self.contacts):
             raise SceneError(
                 f"{self.title}: contact = {index!r}: give an index from 0 to "
                 f"{len(self.contacts) - 1}"
             )
-        return self.contacts[index].name or f"contact {index}"
+        name = self.contacts[index].name
+        shared = sum(contact.name == name for contact in self.contacts) > 1
+        return f"{name} ({index})" if name and shared else name or f"contact {index}"
 
     @property
     def title(self) -> str:
@@ -184,10 +189,14 @@ class Scene:
             put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", names))
         if self.chosen != ():
             put(self, "chosen", all_of(str, self.chosen, "chosen", "text"))
-        for key, kind in (("profile", Profile), ("gain", Gain), ("turning", Turning)):
+        for key, kind, example in (
+            ("profile", Profile, "Profile([0.1, 0.2])"),
+            ("gain", Gain, "Gain.path(100)"),
+            ("turning", Turning, "Turning((0, 0, 1), [0, 0.5])"),
+        ):
             value = getattr(self, key)
             if not isinstance(value, kind) and not (key == "turning" and value is None):
-                raise SceneError(f"{key} = {value!r}: give a {kind.__name__}")
+                raise SceneError(f"{key} = {value!r}: give a {kind.__name__}, such as {example}")
         for key in ("name", "description", "source"):
             a_text(getattr(self, key), key)
         for key in ("paper", "drake"):
