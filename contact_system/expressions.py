@@ -130,6 +130,8 @@ class _Reader:
                 return -self.read(node.operand, depth + 1)
             case ast.UnaryOp(op=ast.UAdd()):
                 return self.read(node.operand, depth + 1)
+            case ast.Attribute():
+                raise self.fail(node, f"write {node.attr} without the module before it")
         raise self.fail(node, "only arithmetic and known functions are allowed in a formula")
 
     def number(self, node: ast.Constant) -> float:

@@ -370,10 +370,11 @@ def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
     except ContactSystemError:
         raise
     except FileNotFoundError:
-        near = Path(name).name.removesuffix(".toml")
+        near = did_you_mean(Path(name).name.removesuffix(".toml"), bundled)
+        near = f" (did you mean '{name}.toml'?)" if os.path.exists(f"{name}.toml") else near
         raise SceneError(
-            f"'{name}' is neither a bundled scene nor a file{did_you_mean(near, bundled)}; "
-            f"bundled are {', '.join(bundled)}"
+            f"'{name}' is neither a bundled scene nor a file{near}; bundled are "
+            f"{', '.join(bundled)}"
         ) from None
     except (OSError, ValueError) as error:  # unreadable, no text, or an impossible name
         raise SceneError(f"'{name}' cannot be read: {error}; give a TOML text file") from None
