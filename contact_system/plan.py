@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
-import json
 import math
 import numbers
 import os
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike
 from .checks import FLOAT, a_path, did_you_mean, flag, naming, shaped_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .motion import SHAPES, Buffer, Motion
-from .scene import Scene, acting, require_scene, scene_from_toml, scene_to_toml
+from .scene import Scene, acting, require_scene, scene_from_toml
 from .starts import Starts, covers_twice, measured_start, on_branch
 from .writing import writing
 
@@ -62,7 +61,9 @@ def plan(
     ContactSystemError
         Naming the scene, the contact, the value and the remedy.
     """
-    return Plan(scene, tolerance, method, solver, compiled, 0.0, None)
+    if compiled is not None:
+        flag(compiled, "compiled")
+    return Plan(scene, tolerance, method, solver)
 
 
 class Plan:
@@ -91,9 +92,8 @@ class Plan:
         tolerance: float,
         method: str,
         solver: str,
-        compiled: bool | None,
-        start: float,
-        starts: Starts | None,
+        start: float = 0.0,
+        starts: Starts | None = None,
         now: bool = True,
     ):
         if method not in METHODS:
@@ -104,8 +104,6 @@ class Plan:
             require_scene(scene)
         if not (type(tolerance) is float and 1e-15 <= tolerance <= 0.1):
             tolerance = checked_tolerance(tolerance)
-        if compiled is not None:
-            flag(compiled, "compiled")
         self.scene, self.tolerance, self.method = scene, tolerance, method
         self.solver, self.start, self.starts = solver, start, starts
         self.end = scene.duration
@@ -129,8 +127,8 @@ class Plan:
 
     def __reduce__(self) -> tuple:
         """Pickle and copy the plan's inputs, as :meth:`save` does; it is planned again."""
-        made_from = (self.scene, self.tolerance, self.method, self.solver, None)
-        return Plan, (*made_from, self.start, self.starts)
+        made_from = self.scene, self.tolerance, self.method, self.solver, self.start, self.starts
+        return Plan, made_from
 
     # --- results -------------------------------------------------------------------------------
 
@@ -319,7 +317,7 @@ class Plan:
                     "the same contact, on which only legs that begin after t may be others, or "
                     "continue earlier"
                 )
-        return Plan(after, self.tolerance, self.method, self.solver, None, t, self.moments(t))
+        return Plan(after, self.tolerance, self.method, self.solver, t, self.moments(t))
 
     def moments(self, t: float) -> Starts:
         """Every contact as it is at time t, from which :meth:`continued` starts."""
@@ -368,7 +366,7 @@ class Plan:
                     f"{where}: contact {i} has imposed rolling; give finger_velocity as numbers"
                 )
             starts.append(measured_start(self.scene, i, t, measured[i], offsets[i]))
-        return Plan(self.scene, self.tolerance, self.method, self.solver, None, t, starts)
+        return Plan(self.scene, self.tolerance, self.method, self.solver, t, starts)
 
     def _on_branch(self, t: float, measured: np.ndarray) -> np.ndarray:
         """Measured states on the plan's branch of charts that cover their surface twice."""
@@ -405,28 +403,10 @@ class Plan:
 
     def _write(self, file: BinaryIO, ending: str, t: np.ndarray) -> None:
         if ending == ".npz":
-            from .saved import digest  # archives are slow to import
+            from .saved import texts_of  # archives are slow to import
 
-            header = {
-                "tolerance": self.tolerance,
-                "method": self.method,
-                "solver": self.solver,
-                "start": self.start,
-                "starts": [vars(s) for s in self.starts] if self.starts else None,
-            }
-            scene, plan = scene_to_toml(self.scene), json.dumps(header)
-            np.savez_compressed(
-                file,
-                scene=scene,
-                plan=plan,
-                digest=digest([scene, plan]),
-                t=t,
-                states=self.states(t),
-                slip=self.slip(t),
-                twist=self.twist(t),
-                pose=self.pose(t),
-                points=self.points(t),
-            )
+            results = self.evaluate(t, "states", "slip", "twist", "pose", "points")
+            np.savez_compressed(file, **texts_of(self), t=t, **results)  # type: ignore[arg-type]
         else:
             file.write(self._csv(t).encode())
 
@@ -457,7 +437,7 @@ class Plan:
         writer = csv.writer(text, lineterminator="\n")
         names = ["t [s]", "contact", *"u1 v1 du1 dv1 u2 v2 du2 dv2".split(), "psi [rad]"]
         writer.writerow([*names, "slip x [m/s]", "slip y [m/s]", "slip [m/s]"])
-        states, slip = self.states(t), self.slip(t)
+        states, slip = self.evaluate(t, "states", "slip").values()
         table = np.concatenate([states, slip, np.hypot(*slip.T).T[..., None]], axis=2)
         for time, rows in zip(t.tolist(), table.tolist()):
             writer.writerows([time, i, *row] for i, row in enumerate(rows))
@@ -543,15 +523,12 @@ def load(path: str | os.PathLike) -> Plan:
     path = a_path(path)
     if path.suffix == ".toml":
         raise ContactSystemError(f"{path} is a scene file: give it to load_scene, or a plan's .npz")
-    text, header = read_plan(path)
+    text, inputs = read_plan(path)
     scene = scene_from_toml(text, source=str(path))
     with naming(str(path)):
-        tolerance, method, solver, start = (
-            header[key] for key in ("tolerance", "method", "solver", "start")
-        )
-        now = method != "chart"
         try:
-            return Plan(scene, tolerance, method, solver, None, start, starts_of(header), now)
+            inputs["starts"] = starts_of(inputs["starts"])
+            return Plan(scene, **inputs, now=inputs["method"] != "chart")
         except ContactSystemError:
             raise
         except Exception as error:  # numbers of somebody who made the digest anew

@@ -1,4 +1,4 @@
-"""Saved plans read back, if nothing in the file was changed."""
+"""Saved plans: their inputs as texts, read back if nothing in the file was changed."""
 
 from __future__ import annotations
 
@@ -6,17 +6,29 @@ import io
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .archives import opened
 from .checks import known_keys, naming, within
 from .errors import ContactSystemError, SceneError
+from .scene import scene_to_toml
 from .starts import Moment, Start, Starts
 
-KEYS = ("tolerance", "method", "solver", "start", "starts")
+if TYPE_CHECKING:
+    from .plan import Plan
+
+KEYS = ("tolerance", "method", "solver", "start", "starts")  # arguments and attributes of a Plan
 PLAN_FILE = "a plan written by Plan.save"
+
+
+def texts_of(plan: Plan) -> dict[str, str]:
+    """The texts of a saved plan: its scene as TOML, its other inputs as JSON, and their digest."""
+    header = {key: getattr(plan, key) for key in KEYS}
+    header["starts"] = [vars(start) for start in plan.starts] if plan.starts else None
+    texts = {"scene": scene_to_toml(plan.scene), "plan": json.dumps(header)}
+    return texts | {"digest": digest(texts.values())}
 
 
 def digest(texts: Iterable[str]) -> str:
@@ -27,7 +39,7 @@ def digest(texts: Iterable[str]) -> str:
 
 
 def read_plan(path: Path) -> tuple[str, dict[str, Any]]:
-    """The scene's TOML text and the header of a saved plan.
+    """The scene's TOML text and the other inputs of a saved plan, by `KEYS`.
 
     Raises
     ------
@@ -59,13 +71,12 @@ def read_plan(path: Path) -> tuple[str, dict[str, Any]]:
     return scene, header
 
 
-def starts_of(header: dict[str, Any]) -> Starts | None:
+def starts_of(tables: list[dict[str, Any]] | None) -> Starts | None:
     """The starts of a saved plan's contacts."""
-    if header["starts"] is None:
+    if tables is None:
         return None
-    kind: Any = Moment if "slip" in header["starts"][0] else Start
-    tables = (
-        {key: tuple(x) if isinstance(x, list) else x for key, x in table.items()}
-        for table in header["starts"]
-    )
-    return [kind(**table) for table in tables]
+    kind: Any = Moment if "slip" in tables[0] else Start
+    return [
+        kind(**{key: tuple(x) if isinstance(x, list) else x for key, x in table.items()})
+        for table in tables
+    ]
