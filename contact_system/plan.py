@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 
 from .checks import FLOAT, a_path, did_you_mean, flag, naming, shaped_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
-from .motion import SHAPES, Buffer, Motion
+from .planning.motion import SHAPES, Buffer, Motion
+from .planning.starts import Starts, covers_twice, measured_start, on_branch
 from .scene import Scene, acting, require_scene, scene_from_toml
-from .starts import Starts, covers_twice, measured_start, on_branch
 from .writing import writing
 
 METHODS = ("auto", "chart")
@@ -113,7 +113,7 @@ class Plan:
         if self.method == "auto":
             buffer = Buffer(self.scene, self.tolerance, self.start, self.starts)
             return Motion(self.scene, buffer)
-        from .chart_solution import ChartMotion  # scipy, which only this method needs
+        from .planning.chart_solution import ChartMotion  # scipy, which only this method needs
 
         motion = ChartMotion(self.scene, self.tolerance, self.start, self.starts, self.solver)
         if now:
@@ -403,7 +403,7 @@ class Plan:
 
     def _write(self, file: BinaryIO, ending: str, t: np.ndarray) -> None:
         if ending == ".npz":
-            from .saved import texts_of  # archives are slow to import
+            from .planning.saved import texts_of  # archives are slow to import
 
             results = self.evaluate(t, "states", "slip", "twist", "pose", "points")
             np.savez_compressed(file, **texts_of(self), t=t, **results)  # type: ignore[arg-type]
@@ -518,7 +518,7 @@ def load(path: str | os.PathLike) -> Plan:
         The file cannot be read, is not such a plan, is damaged, or exceeds a limit of
         `contact_system.limits`.
     """
-    from .saved import PLAN_FILE, read_plan, starts_of  # archives are slow to import
+    from .planning.saved import PLAN_FILE, read_plan, starts_of  # archives are slow to import
 
     path = a_path(path)
     if path.suffix == ".toml":

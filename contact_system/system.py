@@ -42,9 +42,9 @@ from .contact_equations import Form, contact_function
 from .engine.binding import Machine, contact_table, run
 from .errors import SceneError
 from .kept import kept
+from .planning.starts import Start, measured_start, scene_start
 from .scene import SLOTS, Disturbance, Scene, Stretch, acting, refuse_rest, require_scene
 from .scene.contact import rotated
-from .starts import Start, measured_start, scene_start
 from .surfaces import TINY, Ellipsoid, Surface, UserSurface
 from .theory import symbols as ca
 from .theory.development import IN_SPACE, in_space

@@ -23,7 +23,7 @@ from pydrake.systems.framework import (
 from contact_system import Plan, Scene
 from contact_system.checks import finite_number
 from contact_system.errors import SceneError
-from contact_system.starts import on_branch
+from contact_system.planning.starts import on_branch
 
 from .config import LOOK
 from .lifetimes import NO_DICTIONARY, weakly

@@ -10,7 +10,7 @@ import numpy as np
 
 from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor
 from contact_system.engine.binding import SURFACES
-from contact_system.motion import MAY_BE_SINGULAR
+from contact_system.planning.motion import MAY_BE_SINGULAR
 from contact_system.surfaces import Ellipsoid, Surface, Torus
 from contact_system.theory.gain import LAWS
 from contact_system.theory.lowering import Table as Instructions

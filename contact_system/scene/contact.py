@@ -148,7 +148,7 @@ class Contact:
             )
 
     def start_numbers(self) -> tuple[float, ...]:
-        """The 9 numbers of a :class:`.starts.Start` in their order, words replaced by numbers."""
+        """The 9 numbers of a `planning.starts.Start` in their order, words replaced by numbers."""
         w1: Any = self.finger_velocity
         w2: Any = self.object_velocity
         if self.legs:

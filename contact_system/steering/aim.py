@@ -13,7 +13,7 @@ from ..checks import naming
 from ..engine import binding
 from ..engine.binding import Steer, Steered, address
 from ..errors import SceneError
-from ..explanation import SIDES
+from ..planning.explanation import SIDES
 from ..scene import Contact, Scene
 from ..surfaces import Surface
 from ..surfaces.plane import FlatChart

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..checks import finite_number
 from ..errors import SceneError
-from ..motion import FRAMES, Buffer, Motion
+from ..planning.motion import FRAMES, Buffer, Motion
 from ..scene import Scene, require_scene
 from .goal import Goal, Route
 from .reach import TOLERANCE, reach

@@ -21,9 +21,9 @@ import numpy as np
 
 from ..checks import finite_number
 from ..errors import ContactSystemError, SceneError
-from ..explanation import SIDES
-from ..motion import Buffer, Motion
 from ..plan import plan
+from ..planning.explanation import SIDES
+from ..planning.motion import Buffer, Motion
 from ..scene import NO_CLAIMS, STILL, Contact, Leg, Scene, require_scene
 from ..scene.contact import ROLLING, all_of
 from .aim import LANES, MOST_LEGS, Aim

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from . import limits
-from .engine import binding
-from .engine.binding import LAYOUT, address
+from .. import limits
+from ..engine import binding
+from ..engine.binding import LAYOUT, address
+from ..scene import Disturbance, Leg, Scene, Stretch, refuse_rest
+from ..surfaces import Surface
+from ..theory.gain import LAWS
 from .explanation import SINGULAR_TIME, failed, lines
-from .scene import Disturbance, Leg, Scene, Stretch, refuse_rest
 from .starts import Moment, Starts
-from .surfaces import Surface
-from .theory.gain import LAWS
 
 VERSION = 5
 HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT = 15, 5, 5, 5, 35, 23  # numbers in each

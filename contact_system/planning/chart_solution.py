@@ -12,13 +12,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.integrate import OdeSolution, solve_ivp
 
-from .checks import within
-from .errors import ContactSystemError, SceneError
+from ..checks import within
+from ..errors import ContactSystemError, SceneError
+from ..scene import Scene
+from ..system import SceneSystem, SystemMachine, without_chart
 from .explanation import passed
 from .motion import SHAPES
-from .scene import Scene
 from .starts import Start, Starts, scene_start
-from .system import SceneSystem, SystemMachine, without_chart
 
 PARTS = 16  # parts of a solver's step that are searched for singular points
 LOST = 1e-12  # of the body's size: a Lame coefficient below it counts as zero
@@ -32,7 +32,7 @@ OUTPUTS = {
 
 
 class ChartMotion:
-    """All contacts by the chart equations; with the methods of :class:`.motion.Motion`.
+    """All contacts by the chart equations; with the methods of :class:`.planning.motion.Motion`.
 
     Raises
     ------

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .archives import opened
-from .checks import known_keys, naming, within
-from .errors import ContactSystemError, SceneError
-from .scene import scene_to_toml
+from ..archives import opened
+from ..checks import known_keys, naming, within
+from ..errors import ContactSystemError, SceneError
+from ..scene import scene_to_toml
 from .starts import Moment, Start, Starts
 
 if TYPE_CHECKING:
-    from .plan import Plan
+    from ..plan import Plan
 
 KEYS = ("tolerance", "method", "solver", "start", "starts")  # arguments and attributes of a Plan
 PLAN_FILE = "a plan written by Plan.save"

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .checks import naming
-from .errors import SceneError
-from .scene import Contact, Scene, speed
-from .surfaces import Surface
+from ..checks import naming
+from ..errors import SceneError
+from ..scene import Contact, Scene, speed
+from ..surfaces import Surface
 
 LARGEST_ANGLE = 1e7  # rad: a double resolves it to 2e-9
 

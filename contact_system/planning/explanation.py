@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from . import limits
-from .engine.binding import Fact, Failure
-from .errors import ChartSingularity, ContactSystemError, SceneError
-from .scene import DISTURBANCE_KINDS, STILL, Scene
-from .surfaces import Surface
+from .. import limits
+from ..engine.binding import Fact, Failure
+from ..errors import ChartSingularity, ContactSystemError, SceneError
+from ..scene import DISTURBANCE_KINDS, STILL, Scene
+from ..surfaces import Surface
 
 SIDES = ("finger", "object")
 LONGEST_PATH = 1e11  # sizes of the body
