@@ -497,7 +497,7 @@ def strange(good, path, old="", new="", **members):
     kept["modelDescription.xml"] = kept["modelDescription.xml"].replace(old.encode(), new.encode())
     for name, data in members.items():
         name = library if name == "library" else name
-        kept[name] = data(kept[name]) if callable(data) else data
+        kept[name] = data
     with zipfile.ZipFile(path, "w") as archive:
         for name, data in kept.items():
             archive.writestr(name, data)
@@ -505,14 +505,11 @@ def strange(good, path, old="", new="", **members):
 
 
 def test_fmus_of_strangers_are_refused_by_name_and_stay_in_their_folder(build, tmp_path):
-    word, end = '"integrators"', "</ModelVariables>"
-    array = f'<Float64 name="a" valueReference="99"><Dimension start="{{}}"/></Float64>{end}'
+    end = "</ModelVariables>"
+    array = f'<Float64 name="a" valueReference="99"><Dimension start="{10**12}"/></Float64>{end}'
     for change, message in (
-        ({"old": f"modelIdentifier={word}", "new": 'modelIdentifier="../x"'}, "no plain word"),
-        ({"old": end, "new": array.format(10**12)}, "FMU_ELEMENTS high"),
-        ({"old": end, "new": array.format(-2)}, "has shape"),
+        ({"old": end, "new": array}, "FMU_ELEMENTS high"),
         ({"old": "<ModelVariables>", "new": "<a>" * 10**5}, "is not one of FMI 2 or 3"),
-        ({"library": lambda data: data[: len(data) // 2]}, "cut|failed at t"),
         ({"library": b"text"}, "failed at t = 0 s"),
         ({"../x": b""}, "'../x' in it is no path inside it"),
         ({"a\\b": b""}, "in it is no path inside it"),
