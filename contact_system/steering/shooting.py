@@ -26,7 +26,10 @@ NEAR = 3e-8  # of the surface's detail, and rad: from so near, one step of Newto
 SHARP, FINE, ROUGH = 5e-15, 1e-9, 1e-4
 RAYS = 64  # of a fan
 CHUNK = 16  # pairs whose fans are searched at once
-SPLITS = 18  # most halvings of a strip between two rays
+# A strip is flat across where its chord and its arc differ by less than this part, and it is not
+# wider than this part of the size.
+FLAT, NARROW = 0.02, 0.05
+SPLITS = 28  # most halvings of a strip between two rays
 TOGETHER = 1024  # strips that are sifted at once, about
 FARTHEST = 30.0  # longest geodesics searched, in sizes plus distances of the points
 
@@ -87,8 +90,10 @@ class Search:
         every = np.arange(len(self.pairs.chord))
         phi, s, met, _ = self.aim(every, *self.chords(every), steps=12)
         unsure = np.flatnonzero(~met | (s > self.surface.injectivity * (1 + 1e-12)))
-        reach = np.where(met, s * (1 + 1e-6), 2 * self.pairs.chord)[unsure]
         s[~met] = math.inf
+        # the time that a fan takes grows fast with its reach on thin bodies
+        far = s > 1.6 * self.pairs.chord
+        reach = np.where(far, 1.2 * self.pairs.chord, s * (1 + 1e-6))[unsure]
         order = np.argsort(reach)  # fans of similar size together
         for i in range(0, len(unsure), CHUNK):
             which, far = (w[order[i : i + CHUNK]] for w in (unsure, reach))
@@ -97,8 +102,8 @@ class Search:
                 for k, direction, length, _ in zip(*self.within_reach(which, far)):
                     if length < s[k]:
                         phi[k], s[k] = direction, length
-                missing = ~np.isfinite(s[which])
-                which, far = which[missing], 2 * far[missing]
+                missing = s[which] > far
+                which, far = which[missing], np.minimum(1.5 * far, s[which] * (1 + 1e-6))[missing]
         return phi, s
 
     def several(self, most: int, longest: float | None) -> tuple[Array, Array]:
@@ -167,8 +172,9 @@ class Search:
             turn = aside * j / (j**2 + (1e-12 * size) ** 2)
             turn = np.maximum(np.minimum(turn, 0.5), -0.5)
             half, grown = 0.5 * s[active], self.growth(j)
-            phi[active] += turn
-            s[active] += np.maximum(np.minimum(along, half), -half)
+            told = tolerance * grown <= 10 * ROUGH  # else the step would be that of errors
+            phi[active] += told * turn
+            s[active] += told * np.maximum(np.minimum(along, half), -half)
             # the error after a step is the square of the one before
             close = (away <= NEAR * self.follow.detail) & (np.abs(turn) * grown <= NEAR)
             sharp = tolerance <= SHARP
@@ -178,7 +184,7 @@ class Search:
             goes_on = np.isfinite(away) & ~done
             left = away * grown / size
             tolerance = np.where(left <= 3e-5, SHARP, np.maximum(FINE / grown, SHARP))
-            tolerance = np.where(left <= 0.02, tolerance, ROUGH)[goes_on]
+            tolerance = np.where(left <= 0.02, tolerance, np.maximum(ROUGH / grown, SHARP))[goes_on]
             active = active[goes_on]
             if not len(active):
                 break
@@ -223,11 +229,13 @@ class Search:
         one, other = (self.rays(pair, side, limit, count, exact) for side in (phi, phi + width))
         across = other[:, :3] - one[:, :3]
         wide = np.sqrt(np.einsum("kij,kij->kj", across, across))
+        arc = width * np.abs(one[:, 3] + other[:, 3]) / 2
+        flat = (np.abs(wide - arc) <= FLAT * arc) & (arc <= NARROW * self.surface.size)
         wide = np.maximum(wide, width * np.maximum(np.abs(one[:, 3]), np.abs(other[:, 3])))
         middle = 0.5 * (one[:, :3] + other[:, :3])
         r = self.pairs.b[pair].T - middle
         away = np.sqrt(np.einsum("kij,kij->kj", r, r))
-        near, coarse = self.passing(away, wide, limit)
+        near, coarse = self.passing(away, wide, flat, limit)
         coarse &= depth < SPLITS
         k, strip, share, ahead = self.closest(near & ~coarse, away, across, r, middle)
         s = limit[strip] / count * np.maximum(k + 1 + ahead * count / limit[strip], 0.25)
@@ -241,13 +249,13 @@ class Search:
         """x and J along geodesics at equal steps of the reach, (count, 4, n)."""
         return self.follow(self.pairs.start(which, phi), reach, tolerance, count)
 
-    def passing(self, away: Array, wide: Array, reach: Array) -> tuple[Array, Array]:
-        """Where strips pass b while they are narrow, and which strips must be split.
+    def passing(self, away: Array, wide: Array, flat: Array, reach: Array) -> tuple[Array, Array]:
+        """Where strips pass b while they are narrow or flat, and which strips must be split.
 
         Where a strip has become wide, its sides do not tell where it goes, only how far.
         """
         parts, strips = wide.shape
-        torn = np.maximum.accumulate(wide > 2 * self.follow.detail, axis=0)
+        torn = np.maximum.accumulate(~flat & (wide > 2 * self.follow.detail), axis=0)
         near = ~torn & (away <= 0.75 * (wide + reach / parts))
         first = np.argmax(torn, axis=0), np.arange(strips)
         left = reach * (1 - (first[0] + 1) / parts) + wide[first]
