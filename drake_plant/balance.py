@@ -171,17 +171,17 @@ def needed_wrench(
     ----------
     mass : float
     inertia : (3, 3)
-        In O, about O's origin, which is the mass centre, kg m^2.
+        In O, about the mass centre, kg m^2.
     gravity : (3,)
         In the world, m/s^2.
     R_WO : (m, 3, 3)
     w_WO, alpha_WO, a_WO : (m, 3) or (3,)
-        Angular velocity and acceleration and the origin's acceleration, in the world.
+        Angular velocity and acceleration and the mass centre's acceleration, in the world.
 
     Returns
     -------
     (m, 3), (m, 3)
-        N, and N m about O's origin.
+        N, and N m about the mass centre.
     """
     w, alpha, a = (
         np.einsum("mji,...mj->...mi", R_WO, np.broadcast_to(x, (len(R_WO), 3)))

@@ -45,8 +45,7 @@ class ForceBalancer(LeafSystem):
     Parameters
     ----------
     scene_plant : ScenePlant
-        Its object is free, with the mass centre at its origin; its configuration says friction,
-        which part of it is used, and the rate.
+        Its object is free; its configuration says friction, which part of it is used, and the rate.
     least : float
         Least normal force, N.
     """
@@ -61,7 +60,9 @@ class ForceBalancer(LeafSystem):
         self._least, self._index = least, int(body.index())
         self._config: StationConfig = config
         inertia = body.default_spatial_inertia()
-        self._body = inertia.get_mass(), inertia.CalcRotationalInertia().CopyToFullMatrix3()
+        self._center = inertia.get_com()
+        central = inertia.Shift(self._center).CalcRotationalInertia().CopyToFullMatrix3()
+        self._body = inertia.get_mass(), central
         self._gravity = gravity_on(plant, body)
         self.DeclareAbstractParameter(Value(plant.GetDefaultFloatingBaseBodyPose(body)))
         self._points = self.DeclareVectorInputPort("contact_point", 6 * n)
@@ -82,9 +83,11 @@ class ForceBalancer(LeafSystem):
         X_WO = self._poses.Eval(context)[self._index]
         V_WO = self._velocities.Eval(context)[self._index].get_coeffs()
         alpha, a = np.split(self._Acceleration(context, X_WO, V_WO), 2)
-        R_WO, config = X_WO.rotation().matrix(), self._config
-        force, torque = needed_wrench(*self._body, self._gravity, R_WO[None], V_WO[:3], alpha, a)
-        points = self._points.Eval(context).reshape(1, -1, 6)[..., 3:]
+        R_WO, w, config = X_WO.rotation().matrix(), V_WO[:3], self._config
+        arm = R_WO @ self._center
+        a += np.cross(alpha, arm) + np.cross(w, np.cross(w, arm))  # of the mass centre
+        force, torque = needed_wrench(*self._body, self._gravity, R_WO[None], w, alpha, a)
+        points = self._points.Eval(context).reshape(1, -1, 6)[..., 3:] - self._center
         normals = -self._normals.Eval(context).reshape(1, -1, 3)
         forces = balancing_forces(
             *(points, normals, config.friction, force, torque),

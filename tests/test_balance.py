@@ -9,7 +9,18 @@ import contact_system as cs
 
 pytest.importorskip("pydrake", reason="Drake is an extra: pip install .[drake]")
 
-from drake_plant import BuildStation, StationConfig, object_report, simulate
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.tree import SpatialInertia
+from pydrake.systems.framework import DiagramBuilder
+
+from drake_plant import (
+    BuildStation,
+    ForceBalancer,
+    ScenePlant,
+    StationConfig,
+    object_report,
+    simulate,
+)
 from drake_plant.balance import balancing_forces, friction_used, needed_wrench
 from drake_plant.cli import _told
 
@@ -120,6 +131,30 @@ def test_a_ball_is_held_where_gravity_is_on(model):
     told = " ".join(_told(result, None))
     assert "Its weight is carried by the fingers" in told
     assert "80% of the friction cones as planned" in told
+
+
+def test_an_object_is_held_wherever_its_mass_centre_is():
+    """In a plant of one's own: its weight, through its mass centre."""
+    scene, builder, center = held(), DiagramBuilder(), np.array([0.01, 0.0, 0.005])
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 1e-3)
+    inertia = SpatialInertia.SolidSphereWithMass(0.2, 0.03).Shift(-center)
+    bodies = [plant.AddRigidBody(name, inertia) for name in ("object", "a", "b", "c")]
+    plant.Finalize()
+    config = StationConfig.from_scene(scene)
+    parts = ScenePlant(scene, config, plant, scene_graph, bodies[0], bodies[1:])
+    balancer = builder.AddSystem(ForceBalancer(parts))
+    for name in ("body_poses", "body_spatial_velocities"):
+        builder.Connect(plant.GetOutputPort(name), balancer.GetInputPort(name))
+    context = balancer.GetMyContextFromRoot(builder.Build().CreateDefaultContext())
+    (points,), (normals,) = around(3)
+    both = np.hstack([points, points])  # on fingers, and on the object
+    for name, values in (("contact_point", both), ("normal", -normals)):
+        balancer.GetInputPort(name).FixValue(context, values.ravel())
+    forces = balancer.GetOutputPort("contact_forces").Eval(context).reshape(3, 3)
+    weight = [0.0, 0.0, WEIGHT]
+    np.testing.assert_allclose(forces.sum(axis=0), weight, atol=1e-6)
+    torque = np.cross(points, forces).sum(axis=0)
+    np.testing.assert_allclose(torque, np.cross(center, weight), atol=1e-7)
 
 
 @pytest.mark.parametrize("force", [-0.5, 2.0])
