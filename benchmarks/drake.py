@@ -57,11 +57,11 @@ from drake_plant import (
     StationConfig,
     contact_table,
     outcome,
+    push_table,
     rolling_scene,
     simulate,
 )
 from drake_plant.contact_monitor import SATURATED
-from drake_plant.measures import time_off
 from drake_plant.simulation import INTEGRATION
 
 from .report import Bar, Sections
@@ -212,19 +212,9 @@ def _pushed(size: float, time: float, across: bool, model: str, closed: bool) ->
     pushes = [Push(name, PUSHED, stop, force.tolist())]
     config = StationConfig.from_scene(scene, contact_model=model, pushes=pushes)
     result = simulate(scene, config if closed else config.opened(), duration=stop + AFTER)
-    since = result.t > PUSHED
-    steps = np.diff(result.t, prepend=0.0)[since]
-    slip = np.linalg.norm(result.measured["slip"][since, finger], axis=1)
-    normal = result.measured["normal_force"][since, finger]
-    friction = np.linalg.norm(result.measured["tangential_force"][since, finger], axis=1)
-    touches, limit = normal > 0, SATURATED * config.friction * normal
-    apart = result.measured["contact_point"][-1] - result.planned["contact_point"][-1]
-    return {
-        "slip": float(steps[touches] @ slip[touches]),
-        "slides": bool((friction >= limit)[touches].any()),
-        "off": float(time_off(result)[since, finger].sum()),
-        "distance": float(np.linalg.norm(apart[finger])),
-    }
+    (told,), used = push_table(result), result.measured["friction_used"][result.t > PUSHED, finger]
+    slides = bool(np.nanmax(used) >= SATURATED)
+    return {"slip": told.slip, "slides": slides, "off": told.off, "distance": told.left}
 
 
 def feedback(full: bool) -> Iterator[Bar]:

@@ -137,7 +137,7 @@ def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable
             f"{SATURATED:.0%} of mu N. Held: friction never came to its limit, so that there was "
             "no slip to reject. Not kept: another finger came off, or the object falls."
         )
-        yield from (*map(paragraph, _paper(result, reports)), "")
+        yield from _paper(result, reports)
     elif scene.disturbances:
         yield from _explained(
             "No disturbance is over by the end, so that no rejection is measured."
@@ -251,12 +251,13 @@ def _paper(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterab
     paper = result.scene.paper
     if "reports" not in paper:
         return
-    yield f"The paper reports: {paper['reports']}."
+    yield paragraph(f"The paper reports: {paper['reports']}.")
     if "lateral_force" in paper:
         names = ", ".join(r.name for r in reports if r.saturated > 0)
         happens = f"saturates at {names}" if names else "does not saturate"
         peak = max(r.friction_peak for r in reports)
-        yield (
+        yield paragraph(
             f"Tangential force {happens}; its peak is {peak:.3f} N, the paper's limit "
             f"{paper['lateral_force']:g} N."
         )
+    yield ""

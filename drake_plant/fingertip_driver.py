@@ -153,6 +153,7 @@ class FingertipDriver(LeafSystem):
         # What the plant is made from; the plant itself would keep this system for ever.
         self.scene, self.config = scene_plant.scene, scene_plant.config
         self.object_index = int(scene_plant.object_body.index())
+        self._object_center = scene_plant.object_body.default_com()
         self.finger_indices = [body.index() for body in fingers]
         _check(scene_plant)
         constants = [tip_constants(body, scene_plant, hold=0.0) for body in fingers]
@@ -204,7 +205,7 @@ class FingertipDriver(LeafSystem):
             applied.F_Bq_W = SpatialForce(row[:6])
         every = law.applied
         if push.HasValue(context) and (pushed := push.Eval(context)[-3:]).any():
-            every = [*every, _at_centre(BodyIndex(self.object_index))]
+            every = [*every, _applied(BodyIndex(self.object_index), self._object_center)]
             every[-1].F_Bq_W = SpatialForce(np.zeros(3), pushed)
         output.set_value(every)
 
@@ -218,12 +219,13 @@ class _Laws(FingerTables):
 
     def __init__(self, bodies: list[BodyIndex], constants: list[list[float]]):
         super().__init__(driving_law(), POINT, constants)
-        self.bodies, self.applied = list(map(int, bodies)), list(map(_at_centre, bodies))
+        self.bodies = list(map(int, bodies))
+        self.applied = [_applied(body, np.zeros(3)) for body in bodies]
 
 
-def _at_centre(body: BodyIndex) -> ExternallyAppliedSpatialForce:
+def _applied(body: BodyIndex, center: Array) -> ExternallyAppliedSpatialForce:
     applied = ExternallyAppliedSpatialForce()
-    applied.body_index, applied.p_BoBq_B = body, np.zeros(3)
+    applied.body_index, applied.p_BoBq_B = body, center
     return applied
 
 

@@ -224,7 +224,8 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     Parameters
     ----------
     station : Diagram
-        From :func:`BuildStation`, or of your own with systems "planner", "driver" and "plant".
+        From :func:`BuildStation`, or of your own with systems "planner", "driver" and "plant", and
+        with a ForceBalancer "balancer" where forces balance.
     context : Context
         The root: the station's own, or that of a Diagram that contains it.
 
