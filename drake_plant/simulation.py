@@ -156,8 +156,7 @@ def simulate(
     ------
     SceneError
         A duration shorter than a time step, not finite, or beyond the scene's where there is no
-        plan, or with ``coordinates = "plan"``; a recording in a folder that does not exist; what
-        :func:`BuildStation` raises.
+        plan; a recording in a folder that does not exist; what :func:`BuildStation` raises.
     """
     gc.collect()  # Diagrams are cycles: free those of runs before this one
     config = checked(scene, config, "station")
@@ -168,24 +167,12 @@ def simulate(
             f"{scene.title}: a simulation of {duration!r} s with a time_step of {step:g} "
             "s: give a finite time of at least one step"
         )
-    if config.coordinates == "plan" and duration > scene.duration:
-        raise SceneError(
-            f'{scene.title}: coordinates = "plan": the plan ends at {scene.duration:g} s, before a '
-            f"duration of {duration:g} s: simulate less, or lengthen the scene"
-        )
     period = step * max(1, math.floor(min(LOGGED, duration) / step + NEAR))
     film = None
     if recording is not None:
-        recording = a_path(recording, f"{scene.title}: recording")
-        if not recording.parent.is_dir() or recording.is_dir() or recording.suffix != ".html":
-            raise SceneError(
-                f"{scene.title}: recording = {str(recording)!r}: give a path that ends in "
-                "'.html', in a folder that exists"
-            )
         from .recording import Recording
 
-        film = Recording()
-
+        recording, film = _film_path(scene, recording), Recording()
     if config.hand is not None:
         from .hand_station import simulate_hand
 
@@ -216,6 +203,17 @@ def simulate(
     if film is not None and recording is not None:
         film.Save(recording, result)
     return result
+
+
+def _film_path(scene: Scene, recording: str | Path) -> Path:
+    """Where a film can be written; a simulation may take hours before it is."""
+    path = a_path(recording, f"{scene.title}: recording")
+    if not path.parent.is_dir() or path.is_dir() or path.suffix != ".html":
+        raise SceneError(
+            f"{scene.title}: recording = {str(path)!r}: give a path that ends in '.html', in a "
+            "folder that exists"
+        )
+    return path
 
 
 Asked = dict[str, Callable[[], Array]]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -234,16 +235,7 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     SceneError
         No station.
     """
-    if not isinstance(station, Diagram) or not all(
-        station.HasSubsystemNamed(name) and isinstance(station.GetSubsystemByName(name), kind)
-        for name, kind in STARTED.items()
-    ):
-        raise SceneError(
-            f"station = {station!r}: give what BuildStation made, or a Diagram of your own whose "
-            "ContactPlanner, FingertipDriver and MultibodyPlant are named 'planner', 'driver' and "
-            "'plant'; of a Diagram that contains it give the station, and the Diagram's context"
-        )
-    planner, driver, plant = map(station.GetSubsystemByName, STARTED)
+    planner, driver, plant = _started(station)
     try:
         now = planner.GetMyContextFromRoot(context)
     except RuntimeError:
@@ -282,6 +274,20 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     sampled = physics.get_mutable_state().get_mutable_abstract_state()
     for k in range(sampled.size()):
         sampled.get_mutable_value(k).SetFrom(new.get_abstract_state().get_value(k))
+
+
+def _started(station: Diagram) -> list[Any]:
+    """The systems named in `STARTED`."""
+    if not isinstance(station, Diagram) or not all(
+        station.HasSubsystemNamed(name) and isinstance(station.GetSubsystemByName(name), kind)
+        for name, kind in STARTED.items()
+    ):
+        raise SceneError(
+            f"station = {station!r}: give what BuildStation made, or a Diagram of your own whose "
+            "ContactPlanner, FingertipDriver and MultibodyPlant are named 'planner', 'driver' and "
+            "'plant'; of a Diagram that contains it give the station, and the Diagram's context"
+        )
+    return [station.GetSubsystemByName(name) for name in STARTED]
 
 
 def _finger_poses(
