@@ -24,7 +24,7 @@ from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
 from .balance import way_to
-from .hand_kinematics import Chains, cross
+from .hand_kinematics import Chains, cross, moving_joints
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs
 from .reorientation import Reorientation
@@ -87,7 +87,7 @@ class HandDriver(LeafSystem):
         self.plan, self._step = plan, plant.time_step()
         self._object = int(scene_plant.object_body.index())
         self._sizes = plant.num_positions(), plant.num_velocities()
-        joints = [plant.GetJointByName(name) for name in plan.joints]
+        joints = moving_joints(plant)
         self._at_q = [joint.position_start() for joint in joints]
         self._at_v = [joint.velocity_start() for joint in joints]
         self._free = scene_plant.object_body.floating_velocities_start_in_v()

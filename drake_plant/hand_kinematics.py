@@ -8,6 +8,9 @@ own, three equations for its joints:
 With more than three joints some freedom is left, and that goes to the middle of the pad and of the
 joints' ranges. The contact's curves on both bodies follow: a finger of four joints cannot choose
 them (a route of `cs.reach` needs six), nor its spin about the normal. SI units.
+
+Joints that turn and joints that slide are compared in units of their own: half of the range, but at
+most 1 rad or 1 m.
 """
 
 from __future__ import annotations
@@ -18,18 +21,22 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import GeometrySet
 from pydrake.math import RigidTransform
+from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     JacobianWrtVariable,
+    Joint,
     JointActuatorIndex,
-    ModelInstanceIndex,
     MultibodyForces,
+    PrismaticJoint,
     RigidBody,
     SpatialInertia,
 )
+from pydrake.solvers import SnoptSolver
 
 from contact_system import Scene, SceneError, Sphere
+from contact_system.checks import did_you_mean
 from contact_system.contact_sensor import NORMAL, ON_FINGER, ON_OBJECT, ContactSensor
 
 from .balance import way_to
@@ -40,14 +47,20 @@ Array = NDArray[np.float64]
 POSTURE, ON_PAD = 0.3, 1.0  # how strongly free joints go to the middles of ranges and pads
 NEAR = 0.02  # of what grows towards limits, where it ends
 INSIDE = 0.02  # of a joint's range, that is kept free at its limits
-REACHED = 1e-9  # m
+SLIDES = 1e-3  # of the object's speed, from which on a contact is not said to roll
+AT_LIMIT = 1e-9  # of a joint's unit
+REACHED = 1e-9  # m or rad
 TRIES = 60
-UNBOUNDED = 1e3  # rad, of joints without limits
+UNBOUNDED = 1e3  # rad or m, of joints without limits
 
 
-def add_model(plant: MultibodyPlant, hand: Hand, scene: Scene) -> ModelInstanceIndex:
-    """Load a hand into a plant, with its root where the hand has it; returns its instance."""
+def add_hand(plant: MultibodyPlant, hand: Hand, scene: Scene, tips: list[RigidBody]) -> GeometrySet:
+    """Load a hand that carries fingertips into a plant, with its root where the hand has it.
+
+    Returns what of the model would collide, but must not.
+    """
     parser = Parser(plant)
+    parser.SetAutoRenaming(True)  # a contact may have the model's name
     if hand.model:
         try:
             instances = parser.AddModels(hand.model)
@@ -60,8 +73,9 @@ def add_model(plant: MultibodyPlant, hand: Hand, scene: Scene) -> ModelInstanceI
         )
     if len(instances) != 1:
         raise SceneError(f"hand: model = {hand.model!r}: give a file with one model")
+    bodies = [plant.get_body(i) for i in plant.GetBodyIndices(instances[0])]
     carried = {plant.get_joint(j).child_body().index() for j in plant.GetJointIndices()}
-    roots = [plant.get_body(i) for i in plant.GetBodyIndices(instances[0]) if i not in carried]
+    roots = [body for body in bodies if body.index() not in carried]
     if not roots and hand.base != Hand().base:
         raise SceneError(
             f"hand: base = {hand.base!r}: the model's file fixes it to the world; leave base out"
@@ -69,26 +83,20 @@ def add_model(plant: MultibodyPlant, hand: Hand, scene: Scene) -> ModelInstanceI
     for root in roots:
         X_MR = plant.GetDefaultFloatingBaseBodyPose(root)  # in the model
         plant.WeldFrames(plant.world_frame(), root.body_frame(), RigidTransform(hand.base) @ X_MR)
-    return instances[0]
-
-
-def add_hand(plant: MultibodyPlant, hand: Hand, scene: Scene, tips: list[RigidBody]) -> GeometrySet:
-    """Add a hand that carries fingertips; returns what of the model would collide, but must not."""
-    instance = add_model(plant, hand, scene)
-    weld_tips(plant, hand, instance, tips)
-    bodies = map(plant.get_body, plant.GetBodyIndices(instance))
+    for i, tip in enumerate(tips):
+        name = hand.tips[i] if hand.tips else f"tip_{i}"
+        if not plant.HasFrameNamed(name, instances[0]):
+            near = did_you_mean(name, [body.name() for body in bodies])
+            raise SceneError(f"hand: tips[{i}] = {name!r}: {hand.model} has no such frame{near}")
+        plant.WeldFrames(plant.GetFrameByName(name, instances[0]), tip.body_frame())
     return GeometrySet([g for body in bodies for g in plant.GetCollisionGeometriesForBody(body)])
 
 
-def weld_tips(
-    plant: MultibodyPlant, hand: Hand, instance: ModelInstanceIndex, tips: list[RigidBody]
-) -> None:
-    """Weld each fingertip to the model's frame that carries it."""
-    for i, tip in enumerate(tips):
-        name = hand.tips[i] if hand.tips else f"tip_{i}"
-        if not plant.HasFrameNamed(name, instance):
-            raise SceneError(f"hand: tips[{i}] = {name!r}: {hand.model} has no such frame")
-        plant.WeldFrames(plant.GetFrameByName(name, instance), tip.body_frame())
+def moving_joints(plant: MultibodyPlant) -> list[Joint]:
+    """The joints of a hand, in the order of q: those with one degree of freedom."""
+    joints = map(plant.get_joint, plant.GetJointIndices())
+    moving = (joint for joint in joints if joint.num_velocities() == 1)
+    return sorted(moving, key=lambda joint: joint.velocity_start())
 
 
 class Chains:
@@ -98,8 +106,12 @@ class Chains:
     ----------
     names : list of str
         Of the joints, in the order of q.
+    slides : (nq,)
+        Whether a joint is prismatic: m and N then, else rad and N m.
     lower, upper, effort : (nq,)
-        Limits, rad and N m.
+        Limits.
+    middle, unit : (nq,)
+        Of the ranges, and in which joints are compared with each other.
     joints : list of list of int
         Of each finger, the places of its joints in q.
     """
@@ -107,7 +119,6 @@ class Chains:
     def __init__(self, hand: Hand, scene: Scene, tip_mass: float, gravity: float):
         self.scene, self.hand = scene, hand
         self.plant = plant = MultibodyPlant(0.0)
-        instance = add_model(plant, hand, scene)
         self.tips = []
         for i, contact in enumerate(scene.contacts):
             if not isinstance(contact.finger, Sphere) or contact.finger.inside:
@@ -118,8 +129,8 @@ class Chains:
             inertia = SpatialInertia.Zero()
             if tip_mass:
                 inertia = SpatialInertia.SolidSphereWithMass(tip_mass, contact.finger.size)
-            self.tips.append(plant.AddRigidBody(f"tip {i}", instance, inertia))
-        weld_tips(plant, hand, instance, self.tips)
+            self.tips.append(plant.AddRigidBody(f"tip {i}", inertia))
+        add_hand(plant, hand, scene, self.tips)
         plant.mutable_gravity_field().set_gravity_vector([0, 0, -gravity])
         plant.Finalize()
         self.context = plant.CreateDefaultContext()
@@ -129,20 +140,22 @@ class Chains:
 
     def _find_joints(self) -> None:
         plant, size = self.plant, self.plant.num_positions()
-        moving = [j for j in map(plant.get_joint, plant.GetJointIndices()) if j.num_velocities()]
-        if plant.num_velocities() != size or any(j.num_velocities() != 1 for j in moving):
+        moving = moving_joints(plant)
+        if plant.num_velocities() != size or len(moving) != size:
             raise SceneError(
-                "hand: a joint has more than one degree of freedom; give revolute ones"
+                "hand: a joint has more than one degree of freedom; give revolute or prismatic ones"
             )
         if plant.num_constraints():
             raise SceneError(
                 "hand: joints of the model are coupled, as mimic joints are; give a model whose "
                 "joints move each by itself"
             )
-        moving.sort(key=lambda joint: joint.position_start())
         self.names = [joint.name() for joint in moving]
+        self.slides = np.array([isinstance(joint, PrismaticJoint) for joint in moving])
         limits = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
         self.lower, self.upper = np.clip(limits, -UNBOUNDED, UNBOUNDED)
+        self._half = (self.upper - self.lower) / 2
+        self.middle, self.unit = self.lower + self._half, np.minimum(self._half, 1.0)
         self.effort = np.full(size, np.inf)
         for k in range(plant.num_actuators()):
             actuator = plant.get_joint_actuator(JointActuatorIndex(k))
@@ -154,11 +167,13 @@ class Chains:
                 if tip.index() in moved:
                     own.append(k)
         for i, own in enumerate(self.joints):
-            if len(own) < 3 or any(set(own) & set(others) for others in self.joints[:i]):
+            shared = {k for others in self.joints[:i] for k in others if k in own}
+            if shared or not own:
+                names = ", ".join(self.names[k] for k in shared)
+                what = f"shares {names} with another" if shared else "is moved by no joint"
                 raise SceneError(
-                    f"{self.scene.contact_name(i)}: its tip is moved by {len(own)} joints, "
-                    f"{', '.join(self.names[k] for k in own)}; a finger needs three or more of its "
-                    "own"
+                    f"{self.scene.contact_name(i)}: its tip {what}; every finger needs joints of "
+                    "its own"
                 )
 
     # --- asking --------------------------------------------------------------------------------
@@ -214,45 +229,48 @@ class Chains:
         """Where the free joints of a finger should go, (joints,): to the middles of ranges, and of
         the pad. normal : out of the object, in the world."""
         own = self.joints[i]
-        middle, half = (self.lower + self.upper)[own] / 2, (self.upper - self.lower)[own] / 2
-        part = (middle - q[own]) / half
+        half, unit = self._half[own], self.unit[own]
+        part = (self.middle - q)[own] / half
         back = POSTURE * part / (half * np.maximum(1 - part**2, NEAR))  # harder near limits
         turn = cross(normal, self.pose(i).rotation() @ self._pads[i])
-        return back + ON_PAD * self.jacobian(i)[:3, own].T @ turn
+        return unit**2 * (back + ON_PAD * self.jacobian(i)[:3, own].T @ turn)
 
     # --- where to begin, and how to go on ------------------------------------------------------
 
     def reach(self, points: Array, normals: Array) -> Array:
         """Positions (nq,) at which tips touch points from outside, (n, 3) each, in the world.
 
+        Of all such positions those near the middles of ranges and pads.
+
         Raises
         ------
         SceneError
-            A finger that does not come there, with the joints that are at their limits.
+            A finger that does not come there, with where its tip is and its joints.
         """
-        room = INSIDE * (self.upper - self.lower)
-        lower, upper = self.lower + room, self.upper - room
-        q = (lower + upper) / 2
+        problem = InverseKinematics(self.plant, self.context, with_joint_limits=False)
+        q, program, world = problem.q(), problem.get_mutable_prog(), self.plant.world_frame()
+        room = 2 * INSIDE * self._half
+        program.AddBoundingBoxConstraint(self.lower + room, self.upper - room, q)
+        program.AddQuadraticErrorCost(np.diag(POSTURE / self._half**2), self.middle, q)
         centres = points + np.array([[c.finger.size] for c in self.scene.contacts]) * normals
-        for _ in range(TRIES):
-            self.put(q)
-            steps = np.zeros_like(q)
-            for i, own in enumerate(self.joints):
-                missed = centres[i] - self.pose(i).translation()
-                steps[own] = _least(self.jacobian(i)[3:, own], missed, self.away(i, q, normals[i]))
-            q = np.clip(q + np.clip(steps, -0.3, 0.3), lower, upper)
-            if np.abs(steps).max() < REACHED:
-                break
-        self.put(q)
+        for tip, pad, centre, normal in zip(self.tips, self._pads, centres, normals):
+            frame = tip.body_frame()
+            problem.AddPositionConstraint(frame, np.zeros(3), world, centre, centre)
+            problem.AddAngleBetweenVectorsCost(world, -normal, frame, pad, ON_PAD)
+        program.SetInitialGuess(q, self.middle)
+        program.SetSolverOption(SnoptSolver.id(), "Major feasibility tolerance", REACHED)
+        found = SnoptSolver().Solve(program).GetSolution(q)
+        self.put(found)
         for i, own in enumerate(self.joints):
-            left = np.linalg.norm(centres[i] - self.pose(i).translation())
-            if left > REACHED:
-                at = [k for k in own if q[k] in (lower[k], upper[k])] or own
+            tip = self.pose(i).translation()
+            left = np.linalg.norm(centres[i] - tip)
+            if left > 10 * REACHED:
                 raise SceneError(
-                    f"{self.scene.contact_name(i)} does not reach {np.round(points[i], 4).tolist()}"
-                    f" m: {left:.2g} m are left, with {self._limits(at, q)}; put the hand elsewhere"
+                    f"{self.scene.contact_name(i)} does not reach {_places(points[i])} m: its tip "
+                    f"stays {left:.2g} m away, at {_places(tip)} m, with "
+                    f"{self._limits(own, found)}; put the hand elsewhere, by its base"
                 )
-        return q
+        return found
 
     def placed(self, t: float, q: Array, poses: list[RigidTransform]) -> Array:
         """Positions (nq,), near those given, at which tips have poses in the world at a time."""
@@ -262,14 +280,14 @@ class Chains:
             for i, own in enumerate(self.joints):
                 off = way_to(poses[i], self.pose(i))
                 left.append(float(np.linalg.norm(off)))
-                steps[own] = _least(self.jacobian(i)[:, own], off, np.zeros(len(own)))
+                steps[own] = self._nearest(i, self.jacobian(i), off)
             if max(left) < REACHED:
                 return q
             q = q + np.clip(steps, -0.3, 0.3)
         i = int(np.argmax(left))
-        raise SceneError(
-            f"{self.scene.contact_name(i)} does not get as far: at t = {t:.3g} s {left[i]:.2g} m "
-            f"or rad are left, with {self._limits(self.joints[i], q)}"
+        own = self.joints[i]
+        raise self.short_of(
+            own[0], t, f"{left[i]:.2g} m or rad are left, with {self._limits(own, q)}"
         )
 
     def moved(self, q: Array, twists: Array) -> Array:
@@ -277,43 +295,74 @@ class Chains:
         self.put(q)
         found = np.zeros_like(q)
         for i, own in enumerate(self.joints):
-            found[own] = _least(self.jacobian(i)[:, own], twists[i], np.zeros(len(own)))
+            found[own] = self._nearest(i, self.jacobian(i), twists[i])
         return found
+
+    def _nearest(self, i: int, J: Array, v: Array, free: Any = 0.0) -> Array:
+        """Of a finger's velocities with J q' = v, or nearly so where it is straight, those nearest
+        to others."""
+        own = self.joints[i]
+        J, unit = J[:, own], self.unit[own] ** 2
+        square = (J * unit) @ J.T
+        square += 1e-12 * np.trace(square) * np.eye(len(square))
+        return free + unit * (J.T @ np.linalg.solve(square, v - J @ (free + np.zeros(len(own)))))
 
     def _limits(self, joints: list[int], q: Array) -> str:
         told = (
-            f"joint {self.names[k]} = {q[k]:.3g} of [{self.lower[k]:.3g}, {self.upper[k]:.3g}] rad"
+            f"joint {self.names[k]} = {q[k]:.3g} of [{self.lower[k]:.3g}, {self.upper[k]:.3g}] "
+            f"{'m' if self.slides[k] else 'rad'}"
             for k in joints
         )
         return ", ".join(told)
 
+    def room(self, q: Array) -> Array:
+        """How far joints are from their nearer limit, as q, which has them in the last axis."""
+        return np.minimum(q - self.lower, self.upper - q)
+
     def refuse_limits(self, t: Array, q: Array) -> None:
-        """Raise a SceneError at the first time at which a joint is beyond a limit; q (m, nq)."""
-        over = (q < self.lower) | (q > self.upper)
+        """Raise a SceneError at the first time at which a joint is at a limit; q (m, nq)."""
+        over = self.room(q) < AT_LIMIT * self.unit
         if over.any():
-            k = int(np.argmax(over.any(axis=1)))
-            joint = int(np.argmax(over[k]))
-            i = next(i for i, own in enumerate(self.joints) if joint in own)
-            raise SceneError(
-                f"{self.scene.contact_name(i)} does not get as far: at t = {t[k]:.3g} s "
-                f"{self._limits([joint], q[k])}"
-            )
+            k, joint = np.argwhere(over)[0]
+            raise self.short_of(joint, t[k], self._limits([joint], q[k]))
+
+    def short_of(self, joint: int, t: float, why: str) -> SceneError:
+        """What to raise where the finger of a joint cannot follow."""
+        i = next(i for i, own in enumerate(self.joints) if joint in own)
+        return SceneError(
+            f"{self.scene.contact_name(i)} does not get as far: at t = {t:.3g} s {why}"
+        )
+
+    def pace(self, V_WO: Array) -> float:
+        """How fast the object moves, 1/s: its angular velocity, and how many of its sizes."""
+        w, v = np.split(V_WO, 2)
+        return float(np.linalg.norm(w) + np.linalg.norm(v) / self.scene.object.size)
 
     def rolling(self, q: Array, X_WO: RigidTransform, V_WO: Array) -> Array:
         """Velocities (nq,) of joints at which every tip rolls on the object without slip.
 
         V_WO : (6,), angular then linear, of the object's origin
+
+        Raises
+        ------
+        SceneError
+            A finger whose joints do not move its tip along.
         """
         self.put(q)
-        found, w, rotation = np.zeros_like(q), V_WO[:3], X_WO.rotation().matrix()
-        pace = np.linalg.norm(w) + np.linalg.norm(V_WO[3:]) / self.scene.object.size
+        found, rotation, pace = np.zeros_like(q), X_WO.rotation().matrix(), self.pace(V_WO)
         if not pace:
             return found
         for i, own in enumerate(self.joints):
             at = self.touch(i, X_WO)
             x_F, arm, normal = at[ON_FINGER], rotation @ at[ON_OBJECT], rotation @ at[NORMAL]
-            v = V_WO[3:] + cross(w, arm)
-            found[own] = _least(self.jacobian(i, x_F)[3:, own], v, pace * self.away(i, q, normal))
+            v, J = V_WO[3:] + cross(V_WO[:3], arm), self.jacobian(i, x_F)[3:]
+            found[own] = self._nearest(i, J, v, pace * self.away(i, q, normal))
+            if np.linalg.norm(J @ found - v) > SLIDES * pace * self.scene.object.size:
+                names = ", ".join(self.names[k] for k in own)
+                raise SceneError(
+                    f"{self.scene.contact_name(i)} would slip: its joints, {names}, do not move "
+                    "its tip in every direction in which the object's surface goes"
+                )
         return found
 
 
@@ -323,9 +372,5 @@ def cross(a: Array, b: Array) -> Array:
     return np.array((y * w - z * v, z * u - x * w, x * v - y * u))
 
 
-def _least(J: Array, v: Array, free: Array) -> Array:
-    """Of velocities with J q' = v, or nearly so where a finger is straight, those nearest to
-    others."""
-    square = J @ J.T
-    square += 1e-12 * np.trace(square) * np.eye(len(square))
-    return free + J.T @ np.linalg.solve(square, v - J @ free)
+def _places(point: Array) -> list[float]:
+    return np.round(point, 4).tolist()

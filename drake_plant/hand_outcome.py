@@ -15,6 +15,7 @@ from contact_system.plots.style import INK, colour_of
 from contact_system.terminal import paragraph, table
 
 from .config import require_config
+from .hand_kinematics import Chains
 from .hand_station import HandResult
 from .measures import EDGE, durations, path_slid, time_off
 
@@ -23,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class HandReport:
-    """Measures of a simulated hand. SI units, angles in rad; n fingers.
+    """Measures of a simulated hand. SI units, angles in rad; n fingers, nq joints.
 
     Attributes
     ----------
@@ -35,7 +36,7 @@ class HandReport:
         The greatest part of a friction cone that is used; measured outside pushes and 0.1 s after,
         NaN if the finger never touches then.
     torque_share : (nq,)
-        Greatest torque over its limit, in plan and run.
+        Greatest torque over its limit, in plan and run; of a joint that slides, force.
     room : (nq,)
         How near a joint comes to a limit, negative beyond it, in plan and run.
     """
@@ -62,7 +63,6 @@ def hand_report(result: HandResult) -> HandReport:
     used = result.measured["friction_used"][~pushed]
     seen = np.isfinite(used).any(axis=0)
     torques, q = np.vstack([plan.torques, result.torque]), np.vstack([plan.q, result.q])
-    room = np.minimum(q - chains.lower, chains.upper - q).min(axis=0)
     return HandReport(
         off=np.linalg.norm(X[:, :3, 3] - wanted[:, :3, 3], axis=1),
         turned_off=apart.magnitude(),
@@ -71,7 +71,7 @@ def hand_report(result: HandResult) -> HandReport:
         cones_planned=plan.cones.max(axis=0),
         cones=np.where(seen, np.nanmax(used, axis=0, initial=0.0), np.nan),
         torque_share=(np.abs(torques) / chains.effort).max(axis=0),
-        room=room,
+        room=chains.room(q).min(axis=0),
     )
 
 
@@ -104,11 +104,7 @@ def hand_lines(result: HandResult) -> Iterable[str]:
         f"{1e3 * told.off.max():.3g} mm and "
         f"{math.degrees(told.turned_off.max()):.3g} degrees at most."
     )
-    k, j = int(np.argmax(told.torque_share)), int(np.argmin(told.room))
-    yield paragraph(
-        f"Torques: {told.torque_share[k]:.0%} of the limit at most, at {plan.joints[k]}. Joints: "
-        f"{plan.joints[j]} comes to {math.degrees(told.room[j]):.3g} degrees from a limit."
-    )
+    yield paragraph(_of_joints(plan.chains, told))
     yield ""
     yield paragraph(
         "Cone: part of the friction cone that is used, measured outside pushes and 0.1 s after. "
@@ -116,6 +112,17 @@ def hand_lines(result: HandResult) -> Iterable[str]:
         "contact does not resist."
     )
     yield ""
+
+
+def _of_joints(chains: Chains, told: HandReport) -> str:
+    k, j = int(np.argmax(told.torque_share)), int(np.argmin(told.room / chains.unit))
+    torques = f"{told.torque_share[k]:.0%} of the limit at most, at {chains.names[k]}"
+    if not np.isfinite(chains.effort).any():
+        torques = "without limits, as the model has no actuators"
+    slides = chains.slides[j]
+    near = 1e3 * told.room[j] if slides else math.degrees(told.room[j])
+    unit = "mm" if slides else "degrees"
+    return f"Torques: {torques}. Joints: {chains.names[j]} comes to {near:.3g} {unit} from a limit."
 
 
 # --- panels of its picture ---------------------------------------------------------------------

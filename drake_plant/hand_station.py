@@ -18,6 +18,7 @@ from contact_system.checks import finite_number
 from .config import require_config
 from .contact_monitor import ContactMonitor
 from .hand_driver import HandDriver
+from .hand_kinematics import moving_joints
 from .plant import AddScenePlant, ScenePlant
 from .recording import Recording
 from .reorientation import Reorientation
@@ -68,8 +69,8 @@ def BuildHandStation(
     )
     add_pushes(builder, plan.scene, plan.config, driver)
     plant.SetDefaultFloatingBaseBodyPose(parts.object_body, plan.path.GetPose(0.0))
-    for name, angle in zip(plan.joints, plan.q[0]):
-        plant.GetJointByName(name).set_default_positions([angle])
+    for joint, position in zip(moving_joints(plant), plan.q[0]):
+        joint.set_default_positions([position])
     if extend is not None:
         extend(builder, parts)
     return builder.Build(), parts
@@ -89,7 +90,7 @@ def simulate_hand(
     root = simulator.get_mutable_context()
     driver, physics = station.GetSubsystemByName("driver"), parts.plant.GetMyContextFromRoot(root)
     torques, own = driver.GetOutputPort("torque"), driver.GetMyContextFromRoot(root)
-    joints = [parts.plant.GetJointByName(name).position_start() for name in plan.joints]
+    joints = [joint.position_start() for joint in moving_joints(parts.plant)]
     asked: Asked = {
         "q": lambda: parts.plant.GetPositions(physics)[joints],
         "torque": lambda: torques.Eval(own),

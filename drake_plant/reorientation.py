@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import DiagramBuilder
+from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
@@ -28,9 +29,10 @@ from .pressing import rolling_scene
 
 Array = NDArray[np.float64]
 
-NODES = 17  # times of a plan at first, evenly from the start of the motion to its end
-MOST_NODES = 2000
-BETWEEN = 1e-4  # rad or m, that joints are off their way half-way between two nodes
+STEPS = 16  # of a plan at least, from the start of the motion to its end
+ACCURATE = 1e-7  # error of a step, in units of the joints
+FAST = 100.0  # times as fast as the object turns a joint does not move, in its unit
+DEEPER = 1e-3  # part by which forces exceed the least where bodies roll on other radii
 FREE = 6  # joints of a finger that leave the pose of its tip free
 LEG_NODES = 33  # least times of a plan on legs, which are four at most
 SKEW = 1e-9  # that a rotation matrix may have
@@ -40,7 +42,7 @@ BEGIN, END = 0.1, 0.75  # of the duration, when the object begins to move, and r
 class ShortestPath:
     """From one pose to another about one axis and along one line, from rest to rest.
 
-    It answers as Drake's PiecewisePose does, which may be given in its place.
+    Drake's PiecewisePose, which may be given in its place, answers to the same names.
     """
 
     def __init__(self, X_WO: RigidTransform, X_WO_goal: RigidTransform, start: float, stop: float):
@@ -57,6 +59,12 @@ class ShortestPath:
             30 * x**2 * (1 - x) ** 2 / T,
             60 * x * (1 - x) * (1 - 2 * x) / T**2,
         )
+
+    def start_time(self) -> float:
+        return self._start
+
+    def end_time(self) -> float:
+        return self._start + self._time
 
     def GetPose(self, t: float) -> RigidTransform:
         s, _, _ = self._along(t)
@@ -78,13 +86,13 @@ class Reorientation:
     Attributes
     ----------
     hand, scene, config
-        As given; the configuration has the hand.
+        As given; the configuration has the hand, and as normal force the mean of what is planned.
     rolling : Scene
         Its contacts are where the fingers begin, on the radii that bodies roll on.
     route : Scene or None
         `rolling` with the legs of :func:`cs.reach` that fingers of six or more joints follow from
         ``t[0]`` on, for :func:`cs.plan`.
-    path : PiecewisePose, or what answers as it does
+    path : PiecewisePose or ShortestPath
         X_WO.
     t : (m,)
     object_pose : (m, 4, 4)
@@ -160,15 +168,18 @@ def plan_reorientation(
     X_WO_goal : RigidTransform, RotationMatrix or (4, 4), optional
         None: where the table's `turn` and `move` lead.
     path : PiecewisePose, optional
-        X_WO from 0 to the scene's duration; None: the shortest path, from rest to rest.
+        X_WO; None: the shortest path, from rest to rest. Before and after it the object rests.
+        Forces follow its acceleration: where its velocity jumps, as that of rotations does at every
+        pose of a PiecewisePose, the object lags behind for a moment, and joints need large torques.
     config : StationConfig, optional
         None: what the table says.
 
     Raises
     ------
     SceneError
-        A finger that does not reach, with the joint and its limit; a contact that leaves its pad;
-        forces that nothing balances, with the wrench that is left; a torque beyond its limit.
+        A finger that does not reach, with the joint and its limit; a contact that leaves its pad,
+        or slips as joints cannot follow; forces that nothing balances, with the wrench that is
+        left; a torque beyond its limit; a path that ends after the scene.
     """
     require_config(hand, Hand, "hand")
     if config is None:
@@ -179,20 +190,23 @@ def plan_reorientation(
     config = dataclasses.replace(config, hand=hand)
     with naming(scene.title):
         config.check(scene)
-        rolling = rolling_scene(scene, config)
-        chains = Chains(hand, rolling, config.finger_mass, config.gravity)
-        t = np.linspace(BEGIN * scene.duration, END * scene.duration, NODES)
+        if not config.friction:
+            raise SceneError(f"friction = {config.friction!r}: a hand holds by friction; give more")
         if path is None:
             goal = goal_of(config) if X_WO_goal is None else _pose(X_WO_goal)
-            path = ShortestPath(RigidTransform(), goal, t[0], t[-1])
-        else:
-            t = np.linspace(0, scene.duration, 2 * NODES)
-        t, q, v = _resolved(chains, path, t)
-        route = None
-        if min(map(len, chains.joints)) >= FREE:
-            t, q, v, route = _routed(chains, path, t, q)
-        chains.refuse_limits(t, q)
-        return _completed(hand, scene, config, path, chains, route, t, q, v)
+            begin, end = BEGIN * scene.duration, END * scene.duration
+            path = ShortestPath(RigidTransform(), goal, begin, end)
+        elif not 0 <= path.start_time() < path.end_time() <= scene.duration:
+            raise SceneError(
+                f"path: it lasts from {path.start_time():g} to {path.end_time():g} s, the scene "
+                f"from 0 to duration = {scene.duration:g} s; give a path within"
+            )
+        plan = _planned(scene, config, path, config.normal_force)
+        mean = float(np.mean(np.einsum("mij,mij->mi", plan.forces, plan.normals)))
+        if mean > (1 + DEEPER) * config.normal_force:
+            deeper = dataclasses.replace(config, normal_force=mean)
+            plan = _planned(scene, deeper, path, config.normal_force)
+        return plan
 
 
 def _pose(X_WO_goal: Any) -> RigidTransform:
@@ -203,44 +217,47 @@ def _pose(X_WO_goal: Any) -> RigidTransform:
     return RigidTransform(rigid_motion(X, "X_WO_goal", SKEW, meaning="where the object is to be"))
 
 
-def _resolved(chains: Chains, path: Any, t: Array) -> tuple[Array, Array, Array]:
-    """Times close enough for a path, joints that roll along, and their velocities."""
-    q, v = _rolled(chains, path, t)
-    while len(t) <= MOST_NODES:
-        finer = np.linspace(t[0], t[-1], 2 * len(t) - 1)
-        q_finer, v_finer = _rolled(chains, path, finer)
-        if np.abs(CubicHermiteSpline(t, q, v)(finer) - q_finer).max() <= BETWEEN:
-            return t, q, v
-        t, q, v = finer, q_finer, v_finer
-    chains.refuse_limits(t, q)
-    raise SceneError(
-        f"path: joints half-way between {len(t)} poses are not known to {BETWEEN:g}; give a path "
-        "that moves less abruptly"
-    )
-
-
-def _rolled(chains: Chains, path: Any, t: Array) -> tuple[Array, Array]:
-    """Joints that roll along, and their velocities, (m, nq): Runge and Kutta's method."""
-    scene = chains.scene
-    at = np.array([[scene.object.point(*c.object_at)] for c in scene.contacts])[:, 0]
+def _rolled(chains: Chains, path: Any) -> tuple[Array, Array, Array]:
+    """Times, joints that roll along, and their velocities, (m, nq), until the object rests."""
+    scene, X = chains.scene, path.GetPose(path.start_time())
+    at = np.array([scene.object.point(*c.object_at) for c in scene.contacts])
     normals = np.array([scene.object.normal(*c.object_at) for c in scene.contacts])
-    X = path.GetPose(t[0])
     R = X.rotation().matrix()
-    q = chains.reach(at @ R.T + X.translation(), normals @ R.T)
+    begin = chains.reach(at @ R.T + X.translation(), normals @ R.T)
 
     def rates(time: float, q: Array) -> Array:
         return chains.rolling(q, path.GetPose(time), np.ravel(path.GetVelocity(time)))
 
-    every, velocities = [q], [rates(t[0], q)]
-    for a, b in zip(t, t[1:]):
-        h, k1 = b - a, velocities[-1]
-        k2 = rates(a + h / 2, q + h / 2 * k1)
-        k3 = rates(a + h / 2, q + h / 2 * k2)
-        k4 = rates(b, q + h * k3)
-        q = q + h / 6 * (k1 + 2 * (k2 + k3) + k4)
-        every.append(q)
-        velocities.append(rates(b, q))
-    return np.array(every), np.array(velocities)
+    span = path.start_time(), path.end_time()
+    every = np.linspace(*span, STEPS + 1)
+    fastest = FAST * max(chains.pace(np.ravel(path.GetVelocity(t))) for t in every)
+
+    def room(time: float, q: Array) -> float:
+        return float(chains.room(q).min())
+
+    def spare(time: float, q: Array) -> float:
+        return fastest - float(np.abs(rates(time, q) / chains.unit).max())
+
+    for event in (room, spare):
+        event.terminal = True  # type: ignore[attr-defined]
+    found = solve_ivp(
+        rates,
+        span,
+        begin,
+        max_step=(span[1] - span[0]) / STEPS,
+        events=(room, spare),
+        rtol=ACCURATE,
+        atol=ACCURATE * chains.unit,
+    )
+    t, q = found.t, found.y.T
+    v = np.array([rates(*each) for each in zip(t, q)])
+    chains.refuse_limits(t, q)
+    if found.status:
+        joint = int(np.argmax(np.abs(v[-1] / chains.unit)))
+        why = f"joint {chains.names[joint]} would have to move at {v[-1, joint]:.2g} "
+        why += "m/s" if chains.slides[joint] else "rad/s"
+        raise chains.short_of(joint, t[-1], f"{why}, as a finger does that is stretched out")
+    return t, q, v
 
 
 def _routed(
@@ -289,18 +306,17 @@ def _starting(scene: Scene, states: Any, **changes: Any) -> Scene:
     return scene.replace(contacts=contacts)
 
 
-def _completed(
-    hand: Hand,
-    given: Scene,
-    config: StationConfig,
-    path: Any,
-    chains: Chains,
-    route: Scene | None,
-    t: Array,
-    q: Array,
-    v: Array,
-) -> Reorientation:
-    scene, X = chains.scene, [path.GetPose(time) for time in t]
+def _planned(scene: Scene, config: StationConfig, path: Any, least: float) -> Reorientation:
+    """The plan whose contacts are as deep as the configuration's normal force presses them, and
+    press with the least at least, N."""
+    assert config.hand is not None
+    rolling = rolling_scene(scene, config)
+    chains = Chains(config.hand, rolling, config.finger_mass, config.gravity)
+    (t, q, v), route = _rolled(chains, path), None
+    if min(map(len, chains.joints)) >= FREE:
+        t, q, v, route = _routed(chains, path, t, q)
+        chains.refuse_limits(t, q)
+    X = [path.GetPose(time) for time in t]
     R = np.array([pose.rotation().matrix() for pose in X])
     V, A = (
         np.array([np.ravel(get(x)) for x in t]) for get in (path.GetVelocity, path.GetAcceleration)
@@ -308,24 +324,24 @@ def _completed(
     found = _contacts(chains, X, V, q, v)
     states = found[..., STATES]
     points = np.stack([found[..., ON_FINGER], found[..., ON_OBJECT]], axis=2)
-    _refuse_pads(scene, hand, t, points[:, :, 0])
+    _refuse_pads(rolling, config.hand, t, points[:, :, 0])
     normals, arms = (
         np.einsum("mij,mnj->mni", R, part) for part in (-found[..., NORMAL], points[:, :, 1])
     )
-    inertia = object_inertia(given, config)
+    inertia = object_inertia(scene, config)
     down = np.array([0, 0, -config.gravity])
     wrench = needed_wrench(config.object_mass, inertia, down, R, V[:, :3], A[:, :3], A[:, 3:])
     wanted = [np.einsum("mij,mj->mi", R, part) for part in wrench]
-    mu, margin, least = config.friction, config.friction_share, config.normal_force
+    mu, margin = config.friction, config.friction_share
     forces = balancing_forces(arms, normals, mu, *wanted, margin=margin, least=least, t=t)
     a = CubicHermiteSpline(t, q, v).derivative(2)(t)
     torques = _torques(chains, q, v, a, points[:, :, 0], forces)
     _refuse_torques(chains, t, torques)
     return Reorientation(
-        hand=hand,
-        scene=given,
+        hand=config.hand,
+        scene=scene,
         config=config,
-        rolling=_starting(scene, states[0], finger_velocity=(0, 0)),
+        rolling=_starting(rolling, states[0], finger_velocity=(0, 0)),
         route=route,
         path=path,
         t=t,
@@ -351,8 +367,9 @@ def _refuse_torques(chains: Chains, t: Array, torques: Array) -> None:
     if over.any():
         k, joint = np.argwhere(over)[0]
         raise SceneError(
-            f"joint {chains.names[joint]} needs {torques[k, joint]:.3g} N m at t = {t[k]:.3g} s, "
-            f"its limit is {chains.effort[joint]:.3g}; press less, or give a stronger hand"
+            f"joint {chains.names[joint]} needs {torques[k, joint]:.3g} "
+            f"{'N' if chains.slides[joint] else 'N m'} at t = {t[k]:.3g} s, its limit is "
+            f"{chains.effort[joint]:.3g}; press less, move more gently, or give a stronger hand"
         )
 
 

@@ -1,7 +1,8 @@
 """Hands that hold and turn objects: plans that keep their word, refusals, short simulations."""
 
-import argparse
+import dataclasses
 import math
+import re
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.trajectories import PiecewisePose
 
 import contact_system as cs
-from drake_plant import Hand, StationConfig, cli, hand_report, plan_reorientation, simulate
+from contact_system.cli import main
+from drake_plant import Hand, StationConfig, hand_report, plan_reorientation, simulate
 from drake_plant.hand import own_hand
 from drake_plant.measures import object_report
 
@@ -27,8 +29,7 @@ def made(scene=H2, **changes):
 
 @pytest.mark.parametrize("name", ["H2", "H3"])
 def test_fingers_of_a_plan_roll_and_press_as_the_object_needs(name):
-    scene = cs.load_scene(name)
-    plan = plan_reorientation(StationConfig.from_scene(scene).hand, scene)
+    plan = made(cs.load_scene(name))
     assert plan.slip.max() < 1e-8  # by contact_system's own sensor
     turned = RotationMatrix(plan.object_pose[-1, :3, :3]).ToAngleAxis().angle()
     assert turned == pytest.approx(math.radians(35.9), abs=1e-2)
@@ -40,25 +41,16 @@ def test_fingers_of_a_plan_roll_and_press_as_the_object_needs(name):
 
 def test_an_object_by_its_equation_is_carried_as_the_ellipsoid_that_it_is():
     scene = cs.load_scene("H3")
-    config, obj = StationConfig.from_scene(scene), scene.object
-    same = scene.replace(object=cs.Quadric(np.diag(np.square([obj.a, obj.b, obj.c]) ** -1)))
-    found, wanted = (plan_reorientation(config.hand, s, config=config) for s in (same, scene))
-    np.testing.assert_allclose(found.forces, wanted.forces, rtol=0, atol=1e-7)
+    axes = np.array([scene.object.a, scene.object.b, scene.object.c])
+    same = made(scene.replace(object=cs.Quadric(np.diag(axes**-2))))
+    np.testing.assert_allclose(same.forces, made(scene).forces, rtol=0, atol=1e-7)
 
 
 def test_fingers_of_six_joints_follow_routes_of_reach():
-    scene = cs.load_scene("H5")
-    plan = plan_reorientation(StationConfig.from_scene(scene).hand, scene)
-    assert plan.slip.max() < 1e-8  # by contact_system's own sensor
+    plan = made(cs.load_scene("H5"))
+    assert plan.slip.max() < 1e-8 and made().route is None
     points = cs.plan(plan.route).points(plan.t - plan.t[0])
-    for i, contact in enumerate(plan.rolling.contacts):
-        at = (
-            contact.finger.point(*plan.states[:, i, :2].T),
-            scene.object.point(*plan.states[:, i, 4:6].T),
-        )
-        # the route counts the radii that bodies press each other to
-        np.testing.assert_allclose(np.stack(at, axis=1), points[:, i], atol=2e-4)
-    assert plan_reorientation(Hand(), H2).route is None
+    np.testing.assert_allclose(plan.points, points, atol=1e-11)
 
 
 @pytest.mark.parametrize(
@@ -68,8 +60,9 @@ def test_fingers_of_six_joints_follow_routes_of_reach():
         ({"hand": {"base": [0, 0, -0.3]}}, ["finger 1 does not reach", "joint", "limit|rad"]),
         ({"hand": {"pad": 0.011}}, ["finger 3 rolls off its pad", "pad = 0.011"]),
         ({"turn": [[0, -60, 0]]}, ["finger 1 does not get as far", "finger_0_joint_", "rad"]),
-        ({"friction": 0.0}, ["no contact forces", "N m about its origin"]),
+        ({"friction": 0.0, "gravity": 0.0}, ["friction = 0.0", "give more"]),
         ({"normal_force": 15.0, "stiffness": 1e5}, ["finger_0_joint", "its limit is 0.7"]),
+        ({"hand": {"joints": 6, "pad": 0.006}}, ["^scene 'H2', contact 0: (?!.*H2)"]),
         ({"hand": {"tips": ["a"]}}, ["tips = .'a'.", "0 names"]),
         ({"hand": {"model": "none.sdf", "tips": ["a", "b", "c"]}}, ["model = 'none.sdf'"]),
         ({"turn": [[0, 30]]}, [r"turn\[0\] = \[0, 30\]"]),
@@ -81,19 +74,42 @@ def test_what_a_hand_cannot_do_is_refused_with_the_reason(changes, words):
         made(**changes)
 
 
-def test_a_refusal_of_a_route_names_its_scene_once():
-    scene = cs.load_scene("H5")
-    with pytest.raises(cs.SceneError, match="^scene 'H5', contact 0: (?!.*H5)"):
-        made(scene, hand={"joints": 6, "pad": 0.006})
+AROUND = own_hand([0, 2 * math.pi / 3, -2 * math.pi / 3])
 
 
-def test_a_model_by_file_moves_as_the_own_hand(tmp_path):
-    file = tmp_path / "mine.sdf"
-    file.write_text(own_hand([0, 2 * math.pi / 3, -2 * math.pi / 3]).replace("tip_", "my_tip_"))
-    hand = {"model": str(file), "tips": [f"my_tip_{i}" for i in range(3)]}
-    np.testing.assert_allclose(made(hand=hand).q, made().q, atol=1e-6)
-    with pytest.raises(cs.SceneError, match=r"tips\[2\] = 'thumb'"):
-        made(hand={**hand, "tips": ["my_tip_0", "my_tip_1", "thumb"]})
+def in_file(folder, text):
+    """The table of a hand that is read from a file."""
+    (folder / "mine.sdf").write_text(text)
+    return {"model": str(folder / "mine.sdf"), "tips": [f"tip_{i}" for i in range(3)]}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("tip_2", "thumb", r"tips\[2\] = 'tip_2'"),
+        ("<xyz>1 0 0", "<xyz>0 -1 0", "finger 1 would slip"),
+        ('revolute(">.*)1 0 0(.*-)0.8(.*)0.8', r"prismatic\g<1>0 1 0\g<2>0.1\g<3>0.1", r"0.1\] m$"),
+        (">palm(?=</parent><child>finger_1)", ">finger_0_link_0", "shares finger_0_joint_0"),
+    ],
+)
+def test_what_a_model_cannot_do_is_refused_with_the_reason(tmp_path, old, new, words):
+    with pytest.raises(cs.SceneError, match=words):
+        made(hand=in_file(tmp_path, re.sub(old, new, AROUND)), move=[0, 0.9, 0])
+
+
+def test_a_model_of_a_hundredth_of_the_mass_moves_as_the_own_hand(tmp_path):
+    text = re.sub(
+        "(<mass>|<i..>|<effort>|<damping>|'drake'>)([^<]+)",
+        lambda found: f"{found[1]}{0.01 * float(found[2])}",
+        AROUND.replace("finger_0_joint_1", "object"),
+    )
+    contacts = [dataclasses.replace(c, name=x) for c, x in zip(H2.contacts, ("hand", "b", "c"))]
+    light = {key: 0.01 * H2.drake[key] for key in ("object_mass", "finger_mass", "stiffness")}
+    light |= {"normal_force": 0.02, "contact_model": "point", "hand": in_file(tmp_path, text)}
+    plan = made(H2.replace(contacts=contacts), **light)
+    np.testing.assert_allclose(plan.q, made(contact_model="point").q, atol=1e-6)
+    told = hand_report(simulate(plan.scene, duration=0.3))
+    assert told.off.max() < 1e-5 and told.slipped.max() < 1e-4 and not told.lost.any()
 
 
 @pytest.mark.parametrize("joints", [4, 6])
@@ -107,6 +123,8 @@ def test_a_path_of_drake_is_followed(joints):
     fast = [RigidTransform(RotationMatrix.MakeZRotation(0.02 * np.sin(9 * x))) for x in t]
     path = PiecewisePose.MakeCubicLinearWithEndLinearVelocity(t, fast)
     assert plan_reorientation(Hand(joints=joints), H2, path=path).slip.max() < 1e-8
+    with pytest.raises(cs.SceneError, match="lasts from 0 to 4 s, the scene from 0 to duration"):
+        plan_reorientation(Hand(), H2.replace(duration=3.0), path=path)
 
 
 @pytest.mark.parametrize("model", ["point", "hydroelastic"])
@@ -124,11 +142,8 @@ def test_a_ball_that_is_lowered_as_planned_does_not_fall():
 
 
 def test_the_command_line_tells_of_a_hand(tmp_path, capsys):
-    parser = argparse.ArgumentParser()
-    cli.register(parser.add_subparsers())
     words = ["drake", "H4", "--until", "0.1", "--no-recording", "--out", str(tmp_path)]
-    arguments = parser.parse_args([*words, "--set", "drake.contact_model=point"])
-    assert arguments.run(arguments) == 0
+    assert main([*words, "--set", "drake.contact_model=point"]) == 0
     printed = capsys.readouterr().out
     for words in ("H4: Hand", "cone planned", "degrees from a limit", "35.9 degrees"):
         assert words in printed
