@@ -21,11 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
 from pydrake.solvers import (
     ClarabelSolver,
-    LinearEqualityConstraint,
     LorentzConeConstraint,
     MathematicalProgram,
 )
-from scipy.sparse import block_diag, coo_array, hstack
 
 from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
@@ -108,13 +106,12 @@ def balancing_forces(
     middle = points.mean(axis=1)
     wanted[:, 3:] -= np.cross(middle, wanted[:, :3])
     arms = points - middle[:, None]
-    length = max(map(_farthest, (arms, points)), key=bool) or 1.0
+    length = np.abs(arms).max() or np.abs(points).max() or 1.0
     wanted[:, 3:] /= length
     floor = np.broadcast_to(least, count)
     size = max(np.abs(wanted).max(), np.max(floor)) or 1.0
-    frames = contact_frames(normals)
     cones = margin * np.broadcast_to(friction, count).astype(float)
-    problem = grasp_map(arms / length, frames), wanted / size, cones, floor / size
+    problem = arms / length, normals, wanted / size, cones, floor / size
     if not all(np.isfinite(x).all() for x in problem):  # Drake would end the process
         raise SceneError("contact forces: give finite numbers")
     for name, given in (("margin", margin), ("friction", friction), ("least", least)):
@@ -130,11 +127,7 @@ def balancing_forces(
         acts *= size * np.repeat([1.0, length], 3)
         when = "" if t is None else f"t = {np.ravel(t)[k]:.6g} s: "
         raise SceneError(when + _no_grasp(acts, margin, friction))
-    return size * np.einsum("mnij,mnj->mni", frames, forces)
-
-
-def _farthest(points: Array) -> float:
-    return float(np.linalg.norm(points, axis=-1).max())
+    return size * forces
 
 
 def _no_grasp(acts: Array, margin: float, friction: ArrayLike) -> str:
@@ -225,57 +218,33 @@ def pressed_config(scene: Scene, config: StationConfig, until: float) -> Station
     return dataclasses.replace(config, normal_force=float(np.sum(forces * normals, axis=-1).mean()))
 
 
-def contact_frames(normals: Array) -> Array:
-    """Rotations whose third columns are unit normals: (..., 3) -> (..., 3, 3)."""
-    across = np.eye(3)[np.abs(normals).argmin(axis=-1)]
-    x = np.cross(across, normals)
-    x /= np.linalg.norm(x, axis=-1, keepdims=True)
-    return np.stack([x, np.cross(normals, x), normals], axis=-1)
-
-
-def grasp_map(points: Array, frames: Array) -> Array:
-    """Forces in contact frames to force and torque: (m, n, 3) and (m, n, 3, 3) -> (m, 6, 3 n)."""
-    torques = np.cross(points[..., None, :], frames.swapaxes(-1, -2)).swapaxes(-1, -2)
-    columns = np.concatenate([frames, torques], axis=2)
-    return columns.transpose(0, 2, 1, 3).reshape(len(points), 6, -1)
-
-
 def _solve(
-    grasp: Array, wanted: Array, cones: Array, floor: Array, leaving: bool = False
+    arms: Array, normals: Array, wanted: Array, cones: Array, floor: Array, leaving: bool = False
 ) -> tuple[Array, Array | None]:
-    """Forces in contact frames, (m, n, 3), and what of the wrench they have to leave, (m, 6)."""
-    m, n = len(grasp), len(cones)
+    """Forces, (m, n, 3), and what of the wrench they have to leave, (m, 6)."""
+    m, n, _ = arms.shape
     program = MathematicalProgram()
-    x = program.NewContinuousVariables(3 * m * n)
-    forces, variables = x.reshape(m, n, 3), x
-    matrix = block_diag([coo_array(each) for each in grasp], format="csc")
-    if leaving:
-        left = program.NewContinuousVariables(6 * m)
-        matrix, variables = (
-            hstack([matrix, coo_array(np.eye(6 * m))], format="csc"),
-            np.append(x, left),
-        )
-        _add_squares(program, left.reshape(m, 6), DEAR)
-    program.AddConstraint(LinearEqualityConstraint(matrix, wanted.ravel()), variables)
-    for i, cone in enumerate(cones):
-        inside = LorentzConeConstraint(np.roll(np.diag([1.0, 1.0, cone]), 1, axis=0), np.zeros(3))
-        for own in forces[:, i]:
-            program.AddConstraint(inside, own)
-    if floor.any() or not cones.all():  # a cone without width has two sides
-        above = np.full(m * n, np.inf)
-        program.AddBoundingBoxConstraint(np.tile(floor, m), above, forces[..., 2].ravel())
-    _add_squares(program, x.reshape(m, -1))
+    forces = program.NewContinuousVariables(3 * m * n).reshape(m, n, 3)
+    left = program.NewContinuousVariables(6 * m * leaving).reshape(m, -1)
+    unit = np.broadcast_to(np.eye(3), (m, n, 3, 3))
+    grasp = np.concatenate([unit, np.cross(arms[:, :, None], unit)], axis=3)  # wrench of each unit
+    along = normals[:, :, None]
+    across = np.eye(3) - along * normals[..., None]
+    cone = np.concatenate([cones[:, None, None] * along, across], axis=2)
+    costs = 2 * np.diag([*np.ones(3 * n), *np.full(left.shape[1], DEAR)])
+    for k in range(m):
+        own = np.append(forces[k], left[k])
+        matrix = np.hstack([grasp[k].reshape(-1, 6).T, np.eye(6, left.shape[1])])
+        program.AddLinearEqualityConstraint(matrix, wanted[k], own)
+        program.AddQuadraticCost(costs, np.zeros(len(own)), own, is_convex=True)
+        for i in range(n):
+            program.AddConstraint(LorentzConeConstraint(cone[k, i], np.zeros(4)), forces[k, i])
+            if floor[i] or not cones[i]:  # a cone without width has two sides
+                program.AddLinearConstraint(normals[k, i], floor[i], np.inf, forces[k, i])
     result = ClarabelSolver().Solve(program)
     if not leaving and not result.is_success():
-        return _solve(grasp, wanted, cones, floor, leaving=True)
+        return _solve(arms, normals, wanted, cones, floor, leaving=True)
     return (
-        result.GetSolution(x).reshape(m, n, 3),
-        result.GetSolution(left).reshape(m, 6) if leaving else None,
+        result.GetSolution(forces.ravel()).reshape(m, n, 3),
+        result.GetSolution(left.ravel()).reshape(m, 6) if leaving else None,
     )
-
-
-def _add_squares(program: MathematicalProgram, rows: NDArray, weight: float = 1.0) -> None:
-    """The sum of squares as a cost, row by row: one of all would be dense."""
-    square, slope = 2 * weight * np.eye(rows.shape[1]), np.zeros(rows.shape[1])
-    for row in rows:
-        program.AddQuadraticCost(square, slope, row, is_convex=True)
