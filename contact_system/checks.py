@@ -146,9 +146,8 @@ def real_array(values: Any) -> np.ndarray:
     whose mask it would drop.
     """
     array = np.asarray(values)
-    if array is not values and isinstance(values, np.ndarray):
-        if np.any(getattr(values, "mask", False)):
-            raise TypeError
+    if isinstance(values, np.ndarray) and np.any(getattr(values, "mask", False)):
+        raise TypeError
     if array.dtype is FLOAT:
         return array
     kind = array.dtype.kind

@@ -339,6 +339,7 @@ def test_arithmetic_texts_are_numbers():
         ('[0.1, "1/5"]', "[" * 2000 + "]" * 2000, ["nested too deeply"]),
         ("friction = 0.5", "x" + ".x" * 2000 + " = 1", ["key x.x.x", "dots: 2000"]),
         ("friction = 0.5", "friction = " + 5000 * "9", ["too long", "shorten"]),
+        ("friction = 0.5", "duration = 2.0", ["drake: key 'duration'", "above all headers"]),
     ],
 )
 def test_a_mistake_in_a_file_is_named_by_file_key_value_and_remedy(old, new, words):
@@ -454,7 +455,7 @@ def test_every_float_and_every_text_survives_a_round_trip(surface, text, velocit
     "surface, words",
     [
         ('surface = "parametric"', ["parametric", "'f' is missing"]),
-        ('surface = "parametric"\nf = ["u", "v", "sni(u)"]', ["object: parametric", "sin"]),
+        ('surface = "parametric"\nf = ["u", "v", "sni(u)"]', ["object: ParametricSurface", "sin"]),
         ('surface = "parametric"\nf = ["u", "v", "h"]\nparameters = 3', ["parameters", "table"]),
         ("surface = 3", ["object", "surface = 3"]),
     ],
