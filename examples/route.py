@@ -1,7 +1,7 @@
 """A route to a goal on both bodies
 
-Without spin and without sliding, three rolls take a finger from anywhere to anywhere: to a given
-point of the object, with a given point of the finger and a given angle.
+Without spin and without sliding, three or four rolls take a finger from anywhere to anywhere: to a
+given point of the object, with a given point of the finger and a given angle.
 """
 
 import contact_system as cs
