@@ -72,8 +72,8 @@ class Plan:
     Methods take one time or a 1-D array of times in [:attr:`start`, :attr:`end`], s, in any order.
     The first axis of a result is time (of length 1 for a single time), the second the contact. At
     the edge of a disturbance's window, results are those just after it, but at the end of the plan
-    those before it. A time outside raises a
-    ContactSystemError. Plans may be made and evaluated by several threads at once.
+    those before it. A time outside raises a ContactSystemError. Plans may be made and evaluated by
+    several threads at once.
 
     Attributes
     ----------

@@ -197,8 +197,8 @@ class Explorer:
             self._save()
 
     def _slider(self, slider: Slider, label: str) -> Any:
-        """A slider in the page; it changes the scene only when it is moved, and where it first was
-        it stands for the scene's own value, which it shows rounded."""
+        """A slider in the page. It shows a rounded value; until it is moved, and again when it is
+        moved back to its first place, the scene has its exact value."""
         span = slider.high - slider.low
         step = 10.0 ** np.floor(np.log10(span / 200))
         low, high = (round(x / step) * step for x in (slider.low, slider.high))

@@ -15,7 +15,7 @@ LONGEST_PATH = 1e11  # sizes of the body
 ALMOST_RESTS = 1e-5  # of the greatest coefficient of sigma
 
 # failure_t.code, and kind and reason of fact_t, as in engine.h
-STUCK, TOO_MANY_PANELS, TOO_LONG, SINGULAR_CHART, SINGULAR_TIME = range(2, 7)
+STUCK, TOO_MANY_PANELS, TOO_LONG, SINGULAR_CHART, SINGULAR_TIME, OUTSIDE = range(2, 8)
 CIRCLE, LINE, PANELS = range(3)
 UNPUSHED, NO_SLIP, SLIP_LEFT, SLIPS, OFFSET, OFFSET_AND_SLIP, PUSHED, NEGLIGIBLE, FOLLOWING = range(
     9

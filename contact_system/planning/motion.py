@@ -21,7 +21,7 @@ from ..engine.binding import LAYOUT, address
 from ..scene import Disturbance, Leg, Scene, Stretch, refuse_rest
 from ..surfaces import Surface
 from ..theory.gain import LAWS
-from .explanation import SINGULAR_TIME, failed, lines
+from .explanation import OUTSIDE, SINGULAR_TIME, failed, lines
 from .starts import Moment, Starts
 
 VERSION = 5
@@ -37,7 +37,6 @@ Numbers = tuple[float, ...]
 
 _NO_FRAME: Numbers = (0.0,) * 6
 _NO_FRAMES: Numbers = 2 * _NO_FRAME
-_OUTSIDE = 7  # failure_t.code of a time outside the horizon
 
 SHAPES: dict[str, tuple[int, ...]] = {
     "states": (9,),
@@ -259,7 +258,7 @@ class Motion:
             results[name] = values.transpose(_TIMES_FIRST[name])
         failure = binding.Failure()
         if n and binding.evaluate(self, n, address(t), ctypes.addressof(outputs), byref(failure)):
-            if failure.code == _OUTSIDE:
+            if failure.code == OUTSIDE:
                 return None
             if not (gaps and failure.code == SINGULAR_TIME):
                 raise failed(self.scene, failure)
