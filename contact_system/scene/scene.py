@@ -143,8 +143,10 @@ class Scene:
                 f"{len(self.contacts) - 1}"
             )
         name = self.contacts[index].name
+        if not name:
+            return f"contact {index}"
         shared = sum(contact.name == name for contact in self.contacts) > 1
-        return f"{name} ({index})" if name and shared else name or f"contact {index}"
+        return f"{name} ({index})" if shared else name
 
     @property
     def title(self) -> str:
