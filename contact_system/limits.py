@@ -26,8 +26,6 @@ STRIPS = 50_000
 takes up to 1.5 ms. They are many where the least radius of curvature is tiny."""
 PLAN_BYTES = 5e7
 """Unpacked size of a saved plan's restart data."""
-ARCHIVE_DIRECTORY = 2e6
-"""Bytes of an archive's table of contents, about 100 for each file."""
 FMU_BYTES = 2e9
 """Unpacked size of an FMU."""
 DESCRIPTION_BYTES = 5e7
