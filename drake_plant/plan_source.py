@@ -69,7 +69,7 @@ class PlanSource(PlannerBase, LeafSystem):
     def Evaluate(self, context: Any, *outputs: str) -> Array:
         t, n = context.get_time(), len(self.plan.scene.contacts)
         names = [name for name in outputs if name in PLANNED]
-        said = self.plan.evaluate(t, *(PLANNED[name] for name in names))
+        said = self.plan.evaluate(t, *(PLANNED[name] for name in names)) if names else {}
         found = {name: said[PLANNED[name]] for name in names}
         if "pose" in found:  # by columns
             found["pose"] = found["pose"][0, :, :3].swapaxes(1, 2)
