@@ -64,12 +64,6 @@ def test_every_bundled_scene_runs(name, tmp_path, capsys):
         assert f"The paper reports: {scene.paper['reports']}." in " ".join(out.split())
 
 
-def test_results_cannot_go_where_a_file_is(tmp_path, capsys):
-    (tmp_path / "taken").touch()
-    error = _fails(capsys, "run", "C1", "--no-plots", "--out", tmp_path / "taken")
-    assert f"no folder '{tmp_path / 'taken'}': " in error and "another one with --out" in error
-
-
 def test_scenes_lists_all_with_their_descriptions(capsys):
     assert _run("scenes") == 0
     out = capsys.readouterr().out
@@ -154,6 +148,8 @@ def test_mistakes_in_names_and_files_are_one_line(tmp_path, capsys):
     (tmp_path / "k.toml").write_text(text)
     error = _fails(capsys, "explain", tmp_path / "k.toml")
     assert "'duraton' is unknown (did you mean 'duration'?)" in error
+    error = _fails(capsys, "run", "C1", "--no-plots", "--out", tmp_path / "k.toml")
+    assert f"no folder '{tmp_path / 'k.toml'}': " in error and "another one with --out" in error
 
 
 @pytest.mark.parametrize(

@@ -141,17 +141,9 @@ def test_each_body_takes_the_cheapest_exact_way(surface):
 
 def test_explain_names_scene_tolerance_intervals_and_causes():
     text = cs.plan(busy(), tolerance=1e-10).explain()
-    for words in (
-        "'sphere on ellipsoid'",
-        "tolerance 1e-10",
-        "method auto",
-        "contact 0:",
-        "[0.2, 0.3] s  forced development",
-        "finger acceleration and object acceleration",
-        "object rate offset",
-        "object [0.8, 1] s",
-    ):
-        assert words in text
+    words = ["'sphere on ellipsoid'", "tolerance 1e-10", "method auto", "contact 0:"]
+    words += ["[0.2, 0.3] s  forced development", "finger acceleration and object acceleration"]
+    assert [w for w in (*words, "object rate offset", "object [0.8, 1] s") if w not in text] == []
     assert "rolling is imposed; integrated" in cs.plan(cs.load_scene("C2"), compiled=True).explain()
 
 

@@ -81,24 +81,21 @@ SPHERES = [(pi / 6, pi / 6), (2 * pi / 3, pi / 6), (pi / 10, pi)]
 ON_ELLIPSOID = [(2 * pi / 3, pi / 2), (-2 * pi / 3, -pi / 2), (pi / 6, pi / 2)]
 DYNAMIC = [(0.3886, 2.6556), (1.57, 2.0944), (1.57, 2.44 - pi)]
 SLOW, MEDIUM, FAST = (0.001, 0, 0.4), (0.1, 0.2, -0.02), (1, 0.2, -0.02)
-BALL, EGG, PUSH, DRIFT = Sphere(0.1), Ellipsoid(0.3, 0.2, 0.1), FingerAcceleration, ObjectRateOffset
+BALL, EGG, DRIFT = Sphere(0.1), Ellipsoid(0.3, 0.2, 0.1), ObjectRateOffset
+
+
+def pushed(*window):
+    """The same acceleration of each of three fingers."""
+    return [FingerAcceleration(i, *window) for i in range(3)]
 
 
 @pytest.mark.parametrize(
     "name, object_, sigma, duration, contacts, disturbances, recovery",
     [
         ("K1", BALL, SLOW, 1, SPHERES, [], 0.04),
-        ("K2", BALL, SLOW, 1, SPHERES, [PUSH(i, 0, 0.1, (0.1, 0)) for i in range(3)], 0.04),
-        (
-            "K3",
-            EGG,
-            SLOW,
-            1,
-            ON_ELLIPSOID,
-            [PUSH(i, 0.1, 0.15, (-0.1, -0.1)) for i in range(3)],
-            0.015,
-        ),
-        ("K4", EGG, MEDIUM, 4, ON_ELLIPSOID, [PUSH(i, 1, 2, (-0.3, -0.3)) for i in range(3)], None),
+        ("K2", BALL, SLOW, 1, SPHERES, pushed(0, 0.1, (0.1, 0)), 0.04),
+        ("K3", EGG, SLOW, 1, ON_ELLIPSOID, pushed(0.1, 0.15, (-0.1, -0.1)), 0.015),
+        ("K4", EGG, MEDIUM, 4, ON_ELLIPSOID, pushed(1, 2, (-0.3, -0.3)), None),
         ("D1", BALL, FAST, 4, DYNAMIC, [DRIFT(0, 2, 2.5, (0.6, 1.0))], 0.2),
         ("D2", BALL, FAST, 4, DYNAMIC, [DRIFT(0, 0.5, 2.5, (0.6, 0.1))], 0.1),
         ("D3", BALL, SLOW, 4, DYNAMIC, [DRIFT(0, 0.5, 2.5, (0.6, 0.1))], 1.0),
