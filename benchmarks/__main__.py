@@ -57,7 +57,7 @@ def _sections(part: str) -> Sections:
     try:
         return importlib.import_module(f".{part}", __package__).SECTIONS
     except ImportError as error:
-        sys.exit(f'{part} cannot run: {error}; pip install ".[bench]" in a clone')
+        sys.exit(f'{part} cannot run: {error}; pip install -e ".[bench]" in a clone')
 
 
 def _chosen(part: str, only: str) -> Sections:
@@ -72,7 +72,7 @@ def _run(name: str, section: Section, full: bool) -> Iterator[Bar]:
     try:
         yield from section(full)
     except ImportError as error:
-        yield Bar(name, None, None, note=f'left out: {error}; pip install ".[bench]" in a clone')
+        yield Bar(name, None, None, note=f'left out: {error}; pip install -e ".[bench]"')
 
 
 if __name__ == "__main__":

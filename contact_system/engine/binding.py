@@ -143,7 +143,8 @@ def _library() -> ctypes.CDLL:
     except OSError as error:
         raise ImportError(
             f"the engine of contact_system cannot be loaded: {error}; install the package again "
-            "(pip install .), or in a checkout: pip install -e ."
+            "(pip install .); in a clone, whose sources Python takes first, run programs elsewhere "
+            "or pip install -e ."
         ) from None
     library.contact_engine.restype = POINTER(Engine)
     library.contact_surface.restype = POINTER(SurfaceData)
