@@ -95,15 +95,6 @@ def library(target: str, name: str) -> bytes:
         return built.read_bytes()
 
 
-@functools.cache
-def texts() -> dict[Path, str]:
-    """The C of the engine and its FMI layer, by file."""
-    folders = (ENGINE, ENGINE / "generated", C_FOLDER)
-    files = [file for folder in folders for file in sorted(folder.glob("*.[chi]*"))]
-    return {file: file.read_text("utf-8") for file in files}
-
-
-_INCLUDE = re.compile(r'(#include "\w+)\.c"')
 SOURCES = ("fmu.c", "kernel.c")
 SHARED = (
     *("engine_baseline", "contact_engine", "contact_surface", "contact_table", "contact_layout"),
@@ -114,16 +105,16 @@ SHARED = (
 
 @functools.cache
 def _texts(layer: str) -> dict[str, str]:
-    """What FMUs of one version of FMI have in common, under the names that it has there."""
+    """What FMUs of one version of FMI have in common, under the names that it has there: importers
+    may compile every .c that they find; what is included is none."""
     other = {"2": "3", "3": "2"}[layer]
-    skipped = ("resource.c", f"fmi{other}.c")
-    files = {file.name: text for file, text in texts().items() if file.name not in skipped}
-    return {_part(name): text.replace('"generated/', '"') for name, text in files.items()}
-
-
-def _part(name: str) -> str:
-    """Importers may compile every .c that they find; what is included is none."""
-    return name.removesuffix(".c") + ".inc" * name.endswith(".c")
+    folders, found = (ENGINE, ENGINE / "generated", C_FOLDER), {}
+    for file in (file for folder in folders for file in sorted(folder.glob("*.[chi]*"))):
+        if file.name not in ("resource.c", f"fmi{other}.c"):
+            name = file.name.removesuffix(".c") + ".inc" * (file.suffix == ".c")
+            text = file.read_text("utf-8").replace('"generated/', '"')
+            found[name] = re.sub(r'(#include "\w+)\.c"', r'\1.inc"', text)
+    return found
 
 
 def c_sources(data: bytes, identifier: str, fmi_version: str) -> dict[str, str]:
@@ -134,10 +125,9 @@ def c_sources(data: bytes, identifier: str, fmi_version: str) -> dict[str, str]:
     layer = fmi_version[0]
     names = "".join(f"#define {name} {identifier}_{name}\n" for name in SHARED)
     prefix = f"#define FMI2_FUNCTION_PREFIX {identifier}_\n" if layer == "2" else ""
-    engine = '#include "engine.c"\n#include "dispatch.c"\n'
+    engine = '#include "engine.inc"\n#include "dispatch.inc"\n'
     units = {
         "kernel.c": f"#define VARIANT baseline\n{names}{engine}",
-        "fmu.c": f'#define SCENE_INSIDE\n{prefix}{names}#include "fmi{layer}.c"\n',
+        "fmu.c": f'#define SCENE_INSIDE\n{prefix}{names}#include "fmi{layer}.inc"\n',
     }
-    found = _texts(layer) | {"scene.inc": as_c(data)} | units
-    return {name: _INCLUDE.sub(r'\1.inc"', text) for name, text in found.items()}
+    return _texts(layer) | {"scene.inc": as_c(data)} | units

@@ -96,7 +96,7 @@ def scene_data(table: Table, token: str) -> bytes:
     rows = [x for surface in surfaces for x in _surface(surface, data)]
     head = struct.pack(
         f"<{HEADER - 4}d",
-        *(len(table.groups), table.n_values, law.power, law.makes_up),
+        *(len(table.groups), len(table.rows), law.power, law.makes_up),
         *(scene.duration, TOLERANCE, table.first["scale"]),
         *(data.texts(token), data.texts(*(v.name for v in scalars))),
         data.numbers([KINDS.index(v.kind) for v in scalars]),

@@ -23,7 +23,7 @@ from contact_system.checks import is_device, items_of
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
-from .quantities import Unit, Variable, unit_name
+from .quantities import Variable, unit_name
 from .variables import Table
 
 VERSIONS = ("2.0", "3.0")
@@ -179,7 +179,11 @@ def _interface(table: Table, fmi_version: str, interface: str) -> ET.Element:
 def _unit_definitions(table: Table) -> ET.Element:
     element = ET.Element("UnitDefinitions")
     for unit in sorted({row.unit for row in table.rows if row.unit is not None}):
-        _add_unit(element, unit)
+        own = ET.SubElement(element, "Unit", name=unit_name(unit))
+        ET.SubElement(own, "BaseUnit", {k: str(x) for k, x in zip(("m", "s", "rad"), unit) if x})
+        if unit[2] == 1:
+            name = unit_name(unit).replace("rad", "deg")
+            ET.SubElement(own, "DisplayUnit", name=name, factor=_number(math.degrees(1.0)))
     return element
 
 
@@ -193,7 +197,6 @@ QUANTITIES = {
     (0, 1, 0): "Time",
 }
 """Names of types, and of what is measured, by exponents of m, s, rad."""
-_DEGREE = math.degrees(1.0)
 
 
 def _type_definitions(table: Table, fmi_version: str) -> ET.Element:
@@ -209,16 +212,6 @@ def _type_definitions(table: Table, fmi_version: str) -> ET.Element:
         else:
             ET.SubElement(element, "Float64Type", said, name=name)
     return element
-
-
-def _add_unit(parent: ET.Element, unit: Unit) -> None:
-    """What a unit's name stands for."""
-    exponents = {k: str(x) for k, x in zip(("m", "s", "rad"), unit) if x}
-    own = ET.SubElement(parent, "Unit", name=unit_name(unit))
-    ET.SubElement(own, "BaseUnit", exponents)
-    if unit[2] == 1:
-        name = unit_name(unit).replace("rad", "deg")
-        ET.SubElement(own, "DisplayUnit", name=name, factor=_number(_DEGREE))
 
 
 # --- variables -----------------------------------------------------------------------------------

@@ -64,11 +64,6 @@ class Table:
         """The scalar or array of a name; KeyError where there is none."""
         return self._by_name[name]
 
-    @property
-    def n_values(self) -> int:
-        """Length of the component's array of values."""
-        return self.groups[-1][-1]
-
     @kept
     def states(self) -> list[int]:
         """References of the continuous states."""

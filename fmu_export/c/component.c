@@ -66,16 +66,12 @@ static const char *make_component(component_t *c, const char *resources) {
   if (!(c->model = read_model(resources, &wrong))) return wrong;
   const model_t *m = c->model;
   const size_t values = (size_t)m->n_values * sizeof(double);
-  size_t registers = 1, legs = 0;
-  for (long i = 0; i < m->n_contacts; i++) {
-    const double *row = contact_of(m, i), size = m->data[(long)row[P_LEGS] + G_PROFILE_SIZE];
-    legs = (size_t)fmax((double)legs, row[P_N_LEGS] * (LEG_SIZE + size));
-  }
+  size_t registers = 1;
   c->engine = contact_engine();
   c->own = new_saved(m), c->before = new_saved(m),
   c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
-  c->buffer = malloc((legs + (size_t)(S_HEADER + m->n_values + CONTACT_SIZE +
-                                      WINDOW_SIZE * (m->n_windows + 3) + 4)) *
+  /* legs, windows and numbers take no more room in the engine's scene than in the model's data */
+  c->buffer = malloc((size_t)(m->data[D_SIZE] + S_HEADER + CONTACT_SIZE + 3 * WINDOW_SIZE + 2) *
                      sizeof(double));
   c->seed = calloc(1, values), c->grown = calloc(1, values);
   for (long i = 0; c->live && i < m->n_contacts; i++) {

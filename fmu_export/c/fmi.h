@@ -40,7 +40,6 @@ typedef struct {
 /* where values can be got, and where some of them may be set */
 #define RUNNING (INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED)
 #define ANY (INSTANTIATED | RUNNING)
-#define ME_RUNNING (INITIALIZATION | EVENT | CONTINUOUS | TERMINATED)
 #define SETTABLE (ANY & ~TERMINATED)
 
 static status_t allowed(component_t *c, int phases) {
@@ -103,18 +102,16 @@ static void free_instance(instance_t *instance) {
   free(instance);
 }
 
-/* wrong: what else is, or NULL */
 static instance_t *instantiate(const char *called, const char *name, const char *token,
                                const char *resources, void (*log)(void), void *environment,
-                               int stepping, const char *wrong) {
+                               int stepping) {
   instance_t *instance = calloc(1, sizeof *instance);
   if (!instance) return NULL;
   component_t *c = &instance->component;
   c->called = called;
   instance->log = log, instance->environment = environment;
   if (name) strncpy(instance->name, name, sizeof instance->name - 1);
-  if (!name || !*name) wrong = "the instance has no name";
-  if (!wrong) wrong = make_component(c, resources);
+  const char *wrong = name && *name ? make_component(c, resources) : "the instance has no name";
   if (!wrong && (!token || strcmp(token, token_of(c->model))))
     wrong = "the " TOKEN " is another model's";
   if (wrong) {
@@ -382,13 +379,13 @@ FMI_EXPORT status_t FMI(SetTime)(void *instance, double time) {
     return action;                                                                                 \
   }
 OF_STATES(SetContinuousStates, EVENT | CONTINUOUS, const double, set_states(c, x))
-OF_STATES(GetContinuousStates, ME_RUNNING, double, get_states(c, x, 0))
-OF_STATES(GetContinuousStateDerivatives, ME_RUNNING, double, get_states(c, x, 1))
+OF_STATES(GetContinuousStates, RUNNING, double, get_states(c, x, 0))
+OF_STATES(GetContinuousStateDerivatives, RUNNING, double, get_states(c, x, 1))
 OF_STATES(GetNominalsOfContinuousStates, ANY, double,
           (memcpy(x, section(c->model, D_NOMINALS), count * sizeof *x), OK))
 
 FMI_EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], size_t count) {
-  SYSTEM_ONLY(ME_RUNNING);
+  SYSTEM_ONLY(RUNNING);
   if (count) REFUSE("there are none");
   return OK;
 }

@@ -74,8 +74,7 @@ FMI_EXPORT void *FMI(Instantiate)(const char *name, fmi2Type type, const char *g
                                   int visible, int logging) {
   if (!functions) return NULL;
   return instantiate(__func__, name, guid, location, (void (*)(void))functions->logger,
-                     functions->componentEnvironment, type == fmi2CoSimulation,
-                     type != fmi2CoSimulation && type != fmi2ModelExchange ? "unknown type" : NULL);
+                     functions->componentEnvironment, type == fmi2CoSimulation);
 }
 
 FMI_EXPORT status_t FMI(SetupExperiment)(void *instance, int tolerance_defined, double tolerance,

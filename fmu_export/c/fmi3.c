@@ -20,7 +20,7 @@ typedef void (*fmi3IntermediateUpdateCallback)(void), (*fmi3ClockUpdateCallback)
 #define BOOLEAN _Bool
 #define ROOM(n) , size_t n
 #define ROOM_OF(count, n) (n)
-#define GETTABLE (INSTANTIATED | RUNNING)
+#define GETTABLE ANY
 #define TOKEN "instantiation token"
 #define GetReal GetFloat64 /* as FMI 2 calls it */
 #define SetReal SetFloat64
@@ -38,7 +38,7 @@ FMI_EXPORT const char *FMI(GetVersion)(void) { return "3.0"; }
 FMI_EXPORT void *FMI(InstantiateModelExchange)(const char *name, const char *token,
                                                const char *resources, _Bool visible, _Bool logging,
                                                void *environment, fmi3LogMessageCallback log) {
-  return instantiate(__func__, name, token, resources, (void (*)(void))log, environment, 0, NULL);
+  return instantiate(__func__, name, token, resources, (void (*)(void))log, environment, 0);
 }
 
 FMI_EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *token,
@@ -48,7 +48,7 @@ FMI_EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *toke
                                               void *environment, fmi3LogMessageCallback log,
                                               fmi3IntermediateUpdateCallback update) {
   instance_t *instance =
-      instantiate(__func__, name, token, resources, (void (*)(void))log, environment, 1, NULL);
+      instantiate(__func__, name, token, resources, (void (*)(void))log, environment, 1);
   if (!instance) return NULL;
   instance->component.uses_events = event_mode, instance->early_return = early_return;
   return instance;

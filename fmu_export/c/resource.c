@@ -1,10 +1,6 @@
 /* The scene's data from a file, where the library is the same for all scenes. */
 
-static int hex(char c) {
-  return c >= '0' && c <= '9'                 ? c - '0'
-         : (c | 32) >= 'a' && (c | 32) <= 'f' ? (c | 32) - 'a' + 10
-                                              : -1;
-}
+#include <ctype.h>
 
 /* FMI 2 gives a URI, file:///tmp/a%20b or file:/tmp, FMI 3 a path. */
 static void path_of(const char *resources, char *path, size_t room) {
@@ -24,9 +20,11 @@ static void path_of(const char *resources, char *path, size_t room) {
   if (uri && *from == '/' && from[1] && from[2] == ':') from++;
 #endif
   for (; *from && n + sizeof name < room; from++) {
-    const int high = uri && *from == '%' ? hex(from[1]) : -1, low = high < 0 ? -1 : hex(from[2]);
-    path[n++] = low < 0 ? *from : (char)(16 * high + low);
-    if (low >= 0) from += 2;
+    const char byte[3] = {from[1], *from && from[1] ? from[2] : 0};
+    const int coded =
+        uri && *from == '%' && isxdigit((unsigned char)byte[0]) && isxdigit((unsigned char)byte[1]);
+    path[n++] = coded ? (char)strtol(byte, NULL, 16) : *from;
+    if (coded) from += 2;
   }
   while (n && (path[n - 1] == '/' || path[n - 1] == '\\')) n--;
   memcpy(path + n, name, sizeof name);
