@@ -495,9 +495,7 @@ def strange(good, path, old="", new="", **members):
         kept = {m: archive.read(m) for m in archive.namelist() if not m.endswith("/")}
     library = next(name for name in kept if "binaries/" in name)
     kept["modelDescription.xml"] = kept["modelDescription.xml"].replace(old.encode(), new.encode())
-    for name, data in members.items():
-        name = library if name == "library" else name
-        kept[name] = data
+    kept |= {library if name == "library" else name: data for name, data in members.items()}
     with zipfile.ZipFile(path, "w") as archive:
         for name, data in kept.items():
             archive.writestr(name, data)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -470,6 +471,8 @@ def test_state_bytes_that_do_not_fit_are_refused(kind, version):
     flipped = [data[:k] + bytes([data[k] ^ 0x10]) + data[k + 1 :] for k in places]
     for wrong in (b"", data[:-1], data + b"\0", other.written(), *flipped):
         one.refused("refused", one.read, wrong)
+    old = data[:8] + (1).to_bytes(8, sys.byteorder) + data[16:]
+    one.refused("it was written by another version", one.read, old)
     theirs = other.state()
     for call in (lambda: one.restore(theirs, 0.0), lambda: one.free(theirs)):
         one.refused("another (model|scene)'?s?|no such state", call)

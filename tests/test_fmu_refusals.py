@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import logging
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -161,16 +160,6 @@ def test_calls_out_of_order_are_refused(kind, version):
     one.own.reset()
     one.begin()
     assert one.get("contact[1].object.u") == pytest.approx(K1.contacts[0].object_at[0], rel=1e-15)
-
-
-@of_versions
-def test_a_state_of_another_version_is_refused(version):
-    one = Instance(K4, "FMU", version).begin()
-    one.step(0.3)
-    data = one.written()
-    one.read(data)
-    old = data[:8] + (1).to_bytes(8, sys.byteorder) + data[16:]
-    one.refused("it was written by another version", one.read, old)
 
 
 def test_functions_that_there_are_not_are_refused_in_words():
