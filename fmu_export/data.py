@@ -18,7 +18,7 @@ from contact_system.theory.lowering import Table as Instructions
 from .model import TOLERANCE, equations, frame_sizes, measured, way_of
 from .variables import Table
 
-MAGIC, VERSION, HEADER = 20261124.0, 7.0, 36
+VERSION, HEADER = 20261127.0, 35
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
 
 
@@ -95,7 +95,7 @@ def scene_data(table: Table, token: str) -> bytes:
     orders += [at + k for *_, at in windows for k in (1, 0)]  # stop, start
     rows = [x for surface in surfaces for x in _surface(surface, data)]
     head = struct.pack(
-        f"<{HEADER - 4}d",
+        f"<{HEADER - 3}d",
         *(len(table.groups), len(table.rows), law.power, law.makes_up),
         *(scene.duration, TOLERANCE, table.first["scale"]),
         *(data.texts(token), data.texts(*(v.name for v in scalars))),
@@ -109,7 +109,7 @@ def scene_data(table: Table, token: str) -> bytes:
         *(data.numbers(orders), len(orders) // 2, *obj),
     )
     body = b"".join(data.parts)
-    return struct.pack("<4d", MAGIC, VERSION, data.size, zlib.adler32(body)) + head + body
+    return struct.pack("<3d", VERSION, data.size, zlib.adler32(body)) + head + body
 
 
 def _index(items: list[Any], item: Any) -> int:

@@ -115,7 +115,7 @@ static model_t *read_model(const char *resources, const char **wrong) {
            "unpacked to";
   if (!d) goto refused;
   *wrong = "resources/scene.bin is damaged, or of another version; export the FMU again";
-  if (count <= D_HEADER || d[D_MAGIC] != DATA_MAGIC || d[D_VERSION] != DATA_VERSION) goto refused;
+  if (count <= D_HEADER || d[D_VERSION] != DATA_VERSION) goto refused;
   if (d[D_SIZE] != (double)count) goto refused;
   if (d[D_CHECKSUM] != (double)adler32(d + D_HEADER, 8 * (count - D_HEADER))) goto refused;
   m->n_contacts = (long)d[D_CONTACTS], m->n_values = (long)d[D_VALUES];

@@ -18,15 +18,13 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_MAGIC 20261124.0
-#define DATA_VERSION 7.0
+#define DATA_VERSION 20261127.0
 enum {
-  D_MAGIC,
-  D_VERSION,
+  D_VERSION,  /* the day of its last change, by which data is known at all */
   D_SIZE,     /* doubles in all */
   D_CHECKSUM, /* of what follows the header, 32 bits */
   D_CONTACTS,
-  D_VALUES, /* how many; the first are time, gain, and the profile's coefficients */
+  D_VALUES, /* how many; the first are time, gain, and the coefficients of the scene's profile */
   D_POWER,  /* gain law, as in engine.h */
   D_MAKES_UP,
   D_HORIZON,   /* s */
