@@ -53,56 +53,39 @@ class _Data:
 
 def scene_data(table: Table, token: str) -> bytes:
     """The bytes of scene.bin; token: instantiation token (FMI 3) or GUID (FMI 2)."""
-    scene, data = table.scene, _Data()
+    scene, rows, data = table.scene, table.rows, _Data()
     law = LAWS[scene.gain.law]
     surfaces: list[Surface] = []
     systems: list[Instructions] = []
     obj = _body(scene.object, table.first["object"], surfaces)
     contacts: list[float] = []
+    orders = _orders(scene.object, table.first["object"])
     corners: set[float] = set()
-    for i, (contact, group) in enumerate(zip(scene.contacts, table.groups)):
-        way = way_of(scene, contact)
-        corners |= {stretch.start for stretch in way[1:]}
-        n_profile = len(way[0].profile.coefficients)
-        own, _ = equations(*table.structure(i))
-        frames = frame_sizes(contact.finger, scene.object)
-        contacts += [*_body(contact.finger, table.first[f"finger {i}"], surfaces), *group]
-        contacts += [data.numbers(table.columns(i)), _index(systems, own), *frames]
-        sensor = own
-        if table.measured != "nothing":
-            sensor = measured(contact.finger, scene.object, table.measured)
-        unknowns = (3 if s.has_implicit else 2 for s in (contact.finger, scene.object))
-        legs = []
-        for stretch in way:
-            place = data.numbers(stretch.profile.coefficients) if contact.legs else 0
-            legs += [stretch.start, place, n_profile, *stretch.turn]
-        contacts += [_index(systems, sensor), *unknowns, data.numbers(legs), len(way)]
-        contacts.append(contact.angle)
+    for i, contact in enumerate(scene.contacts):
+        contacts += _contact(table, i, data, surfaces, systems)
+        orders += _orders(contact.finger, table.first[f"finger {i}"])
+        corners |= {stretch.start for stretch in way_of(scene, contact)[1:]}
     sensed = ContactSensor(scene) if table.measured == "pose" else None
     limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else ()
-    scalars = table.rows
-    least = [-np.inf if v.minimum is None else v.minimum for v in scalars]
-    nominals = [scalars[r].nominal for r in table.states]
-    shown = table.joined if table.arrays else scalars
+    least = [-np.inf if v.minimum is None else v.minimum for v in rows]
+    nominals = [rows[r].nominal for r in table.states]
+    shown = table.joined if table.arrays else rows
     sizes = [size for v in shown for size in (v.size, *[0] * (v.size - 1))]
     windows = [
         (d.contact, d.slot, table.first["windows"] + 4 * k)
         for k, d in enumerate(scene.disturbances)
     ]
-    orders = [*_orders(scene.object, table.first["object"])]
-    for i, contact in enumerate(scene.contacts):
-        orders += _orders(contact.finger, table.first[f"finger {i}"])
     orders += [at + k for *_, at in windows for k in (1, 0)]  # stop, start
-    rows = [x for surface in surfaces for x in _surface(surface, data)]
+    bodies = [x for surface in surfaces for x in _surface(surface, data)]
     head = struct.pack(
         f"<{HEADER - 3}d",
-        *(len(table.groups), len(table.rows), law.power, law.makes_up),
+        *(len(table.groups), len(rows), law.power, law.makes_up),
         *(scene.duration, TOLERANCE, table.first["scale"]),
-        *(data.texts(token), data.texts(*(v.name for v in scalars))),
-        data.numbers([KINDS.index(v.kind) for v in scalars]),
+        *(data.texts(token), data.texts(*(v.name for v in rows))),
+        data.numbers([KINDS.index(v.kind) for v in rows]),
         *(data.numbers(sizes), data.numbers(table.start_values), data.numbers(least)),
         *(data.numbers(nominals), data.numbers(contacts)),
-        *(data.numbers(rows), len(surfaces)),
+        *(data.numbers(bodies), len(surfaces)),
         data.numbers([x for system in systems for x in data.table(system)]),
         *(data.numbers(np.ravel(windows)), len(windows)),
         *(data.numbers(sorted(corners)), len(corners), data.numbers(limits)),
@@ -110,6 +93,29 @@ def scene_data(table: Table, token: str) -> bytes:
     )
     body = b"".join(data.parts)
     return struct.pack("<3d", VERSION, data.size, zlib.adler32(body)) + head + body
+
+
+def _contact(
+    table: Table, i: int, data: _Data, surfaces: list[Surface], systems: list[Instructions]
+) -> list[float]:
+    """The row of contact i."""
+    scene, contact = table.scene, table.scene.contacts[i]
+    pair = contact.finger, scene.object
+    own, _ = equations(*table.structure(i))
+    sensor = own if table.measured == "nothing" else measured(*pair, table.measured)
+    legs: list[float] = []
+    way = way_of(scene, contact)
+    for stretch in way:
+        profile = stretch.profile.coefficients
+        legs += [stretch.start, data.numbers(profile) if contact.legs else 0, len(profile)]
+        legs += stretch.turn
+    return [
+        *_body(contact.finger, table.first[f"finger {i}"], surfaces),
+        *table.groups[i],
+        *(data.numbers(table.columns(i)), _index(systems, own), *frame_sizes(*pair)),
+        *(_index(systems, sensor), *(3 if s.has_implicit else 2 for s in pair)),
+        *(data.numbers(legs), len(way), contact.angle),
+    ]
 
 
 def _index(items: list[Any], item: Any) -> int:
