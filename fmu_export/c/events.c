@@ -82,6 +82,32 @@ static int find_nearby(component_t *c, long i, double sigma, double states[N_STA
   return !cover(c, i, c->now->acts_at) && !look_at(c, i, time_on(c, i), out);
 }
 
+/* The segment s of contact i begins now at these states; root: of the metrics, column by column.
+   Returns what is wrong, or NULL. */
+static const char *begin_at(component_t *c, long i, segment_t *s, const double x[N_STATES],
+                            const double *root) {
+  const double sigma = sigma_now(c, i);
+  double acting[DISTURBANCES], moved[2][2], *to = s->row;
+  acting_on(c, i, acting);
+  for (int side = 0; side < 2; side++, root += 4) {
+    const double *offset = acting + 4; /* what drives the feedback has none */
+    const double du = x[4 * side + 2] - side * offset[0], dv = x[4 * side + 3] - side * offset[1];
+    for (int a = 0; a < 2; a++) moved[side][a] = (root[a] * du + root[2 + a] * dv) / sigma;
+  }
+  if (!all_finite(moved[0], 4))
+    return "it is measured at a singular point of a chart; measure a moment later";
+  memset(to, 0, sizeof s->row);
+  memcpy(to + K_PLACE_1, x + U1, 2 * sizeof *x), memcpy(to + K_PLACE_2, x + U2, 2 * sizeof *x);
+  /* the finger's frame is turned by -psi, so that R_0 = diag(1, -1) as in the equations */
+  const double cs = cos(x[PSI]), sn = sin(x[PSI]), *w = moved[0];
+  to[K_PLACE_1 + 2] = -x[PSI];
+  to[K_W1] = cs * w[0] - sn * w[1], to[K_W1 + 1] = sn * w[0] + cs * w[1];
+  memcpy(to + K_Y, moved[1], 2 * sizeof *x);
+  memcpy(s->states, x, sizeof s->states);
+  s->begin = c->now->acts_at, s->measured = 1.0;
+  return NULL;
+}
+
 /* The segment s of contact i begins where it is measured. Returns what is wrong, or NULL. */
 static const char *begin_measured(component_t *c, long i, segment_t *s) {
   const layout_t *l = c->model->layout + i;
@@ -89,7 +115,7 @@ static const char *begin_measured(component_t *c, long i, segment_t *s) {
   const double *given = c->value + l->at[OF_MEASURED] + MEASURED, sigma = sigma_now(c, i);
   const int posed = l->at[OF_STATES] - l->at[OF_MEASURED] > TWIST_AND_POSE;
   int sided = posed;
-  double x[N_STATES], points[6], planned[N_STATES], acting[DISTURBANCES], moved[2][2];
+  double x[N_STATES], points[6], planned[N_STATES];
   if (!(sigma > 0))
     return "sigma is zero, so that rates do not determine path velocities; measure while sigma > 0";
   for (int side = 0; side < 2; side++) sided |= surface_of(c->model, i, side)->double_cover;
@@ -97,12 +123,10 @@ static const char *begin_measured(component_t *c, long i, segment_t *s) {
   if (posed && !sided) return "its plan has no coordinates there; measure a moment later";
   double *r = load_sensor(c, i, t);
   if (!r) return "there is no memory";
-  const double *root = r + t->first_out; /* of the metric: column by column */
   memcpy(x, posed ? planned : given, sizeof x);
   if (posed) {
     const char *wrong = sense(c, i, t, r, given, x, points);
     if (wrong) return wrong;
-    root += t->n_out - 8;
   } else {
     memcpy(r, x + U1, 2 * sizeof *r), memcpy(r + 2, x + U2, 2 * sizeof *r);
     c->engine->step(&(program_t){t->body, r});
@@ -113,25 +137,7 @@ static const char *begin_measured(component_t *c, long i, segment_t *s) {
     c->engine->wind(surface_of(c->model, i, side), beside, place);
     memcpy(own, place, 4 * sizeof *own), x[PSI] = place[4];
   }
-  acting_on(c, i, acting);
-  for (int side = 0; side < 2; side++, root += 4) {
-    const double *offset = acting + 4; /* what drives the feedback has none */
-    const double du = x[4 * side + 2] - side * offset[0], dv = x[4 * side + 3] - side * offset[1];
-    for (int a = 0; a < 2; a++) moved[side][a] = (root[a] * du + root[2 + a] * dv) / sigma;
-  }
-  if (!all_finite(moved[0], 4))
-    return "it is measured at a singular point of a chart; measure a moment later";
-  double *to = s->row;
-  memset(to, 0, sizeof s->row);
-  memcpy(to + K_PLACE_1, x + U1, 2 * sizeof *x), memcpy(to + K_PLACE_2, x + U2, 2 * sizeof *x);
-  /* the finger's frame is turned by -psi, so that R_0 = diag(1, -1) as in the equations */
-  const double cs = cos(x[PSI]), sn = sin(x[PSI]), *w = moved[0];
-  to[K_PLACE_1 + 2] = -x[PSI];
-  to[K_W1] = cs * w[0] - sn * w[1], to[K_W1 + 1] = sn * w[0] + cs * w[1];
-  memcpy(to + K_Y, moved[1], 2 * sizeof *x);
-  memcpy(s->states, x, sizeof x);
-  s->begin = c->now->acts_at, s->measured = 1.0;
-  return NULL;
+  return begin_at(c, i, s, x, r + t->first_out + t->n_out - 8);
 }
 
 /* Contacts whose inputs or gain are no longer those of their segment begin another. Returns 0, or
