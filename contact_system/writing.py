@@ -42,8 +42,6 @@ def writing(path: Path, place: str = "") -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         os.replace(part, target)
-        with suppress(OSError):  # not all systems can flush a folder
-            _flush_folder(target.parent)
     except OSError as error:
         raise SceneError(
             f"{place}'{path}' cannot be written: {error.strerror or error}; give a path in a "
@@ -52,11 +50,3 @@ def writing(path: Path, place: str = "") -> Iterator[BinaryIO]:
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
-
-
-def _flush_folder(folder: Path) -> None:
-    opened = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(opened)
-    finally:
-        os.close(opened)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -84,6 +85,7 @@ def array_of(elements: Sequence[Variable]) -> Variable:
     return replace(first, name=name, shape=shape, start=start, known=known)
 
 
+@functools.cache
 def unit_name(unit: Unit) -> str:
     """Such as "rad/s2"; "1" where nothing is left."""
     over, under = "", ""
