@@ -300,11 +300,14 @@ static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at
 
 /* The series of a stiff V from its values. Its integral would lose digits, as pushes and lam V, which
    cancel, are far larger than V over a panel's length. */
-static void through(double start, const double *values, double *out) {
-  double rise[L];
-  for (int i = 0; i < L; i++) rise[i] = values[i] - start;
-  for (int k = 0; k < TERMS; k++) out[k] = dot(gauss_through + k * L, rise);
-  out[0] += start;
+static void through(const double *start, lanes_t v, double *out) {
+  double rise[2][L];
+  for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) rise[a][i] = v[a][i] - start[a];
+  combine(gauss_through, L, 2, rise[0], L, NULL, 1.0, out, TERMS);
+  for (int a = 0; a < 2; a++) {
+    out[a * TERMS] += start[a];
+    out[a * TERMS + L] = dot(gauss_through_top, rise[a]);
+  }
 }
 
 /* The series of a converged panel and the state at its end; returns the error. */
@@ -317,8 +320,11 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
     o[L] = half * dot(gauss_top, f[r]), o[0] += m->state[r];
     error = fmax(error, TAIL * fmax(fabs(o[L]), 0.1 * fabs(o[L - 1])) * m->scale[r]);
     reached[r] = m->state[r] + half * dot(gauss_weight, f[r]);
-    if (has_v(m) && r >= m->n - 2)
-      through(m->state[r], x[r], o), reached[r] = dot(gauss_last, x[r]);
+  }
+  if (has_v(m)) {
+    const int64_t n = m->n - 2;
+    through(m->state + n, x + n, out + n * TERMS);
+    for (int a = 0; a < 2; a++) reached[n + a] = dot(gauss_last, x[n + a]);
   }
   memcpy(end, reached, (size_t)m->n * sizeof *reached);
   if (m->body && m->ambient) restore_body(w, m->side, m->body, end);
