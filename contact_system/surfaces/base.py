@@ -281,7 +281,7 @@ class Surface:
     def coordinates(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return (u, v), each of shape (...), of points (..., 3) on the surface.
 
-        They are in the principal range, `chart`.ranges, with the opposite sign of v inside.
+        They are in the chart's principal range, with the opposite sign of v inside.
 
         Raises
         ------

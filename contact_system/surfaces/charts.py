@@ -64,7 +64,7 @@ class Chart:
     great circles), `central` (every ray from a centre meets the surface once), `turning` (0 or 1:
     the index of the angle about the axis of a surface of revolution; such a chart has `lame`),
     `lengths` (whether u and v are lengths, m), `singular_at` (where there is no contact frame, for
-    messages; "" nowhere, None unknown), `ranges` of the principal branch.
+    messages; "" nowhere, None unknown).
     """
 
     orthogonal: ClassVar[bool] = False
@@ -76,7 +76,6 @@ class Chart:
     turning: ClassVar[int | None] = None
     lengths: ClassVar[tuple[bool, bool]] = (False, False)
     singular_at: ClassVar[str | None] = None
-    ranges: ClassVar[str] = "u and v any real number"
 
     def __init__(self, p: Any):
         self.p = p

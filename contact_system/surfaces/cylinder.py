@@ -19,7 +19,6 @@ class RoundCylinderChart(Chart):
     lengths = (False, True)
     developable = True
     singular_at = ""
-    ranges = "-pi < u <= pi, v any"
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         return ca.vertcat(self.p[0] * ca.cos(u), self.p[0] * ca.sin(u), v)

@@ -55,7 +55,6 @@ class JacobiChart(Chart):
     periods = (TURN, TURN)
     double_cover = True
     singular_at = "an umbilic (v = +-pi/2 with u = 0 or pi)"
-    ranges = "-pi < u <= pi, -pi/2 <= v <= pi/2"
 
     def __init__(self, p: Any):
         self.a, self.b, self.c = a, b, c = p[0], p[1], p[2]
@@ -135,7 +134,6 @@ class OblateChart(Chart):
     central = True
     periods = (TURN, None)
     singular_at = "a pole (v = +-pi/2)"
-    ranges = "-pi < u <= pi, -pi/2 < v < pi/2"
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         rho = self.p[0] * ca.cos(v)

@@ -25,7 +25,6 @@ class OneSheetChart(Chart):
     """(a cosh v cos u, b cosh v sin u, c sinh v): hyperboloid of one sheet, p = (a, b, c)."""
 
     periods = (TURN, None)
-    ranges = "-pi < u <= pi, v any"
     wrap = RoundCylinderChart.wrap
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:

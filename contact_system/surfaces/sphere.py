@@ -21,7 +21,6 @@ class PolarChart(Chart):
     periods = (None, TURN)
     great_circles = True
     singular_at = "a pole (u = 0 or pi)"
-    ranges = "0 < u < pi, -pi < v <= pi"
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         rho = self.p[0] * ca.sin(u)

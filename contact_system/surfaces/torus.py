@@ -19,7 +19,6 @@ class TorusChart(Chart):
     turning = 0
     periods = (TURN, TURN)
     singular_at = ""
-    ranges = "-pi < u, v <= pi"
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         rho = self.p[0] + self.p[1] * ca.cos(v)

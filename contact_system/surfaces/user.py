@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import finite_number, finite_numbers, real_array
+from ..checks import finite_number, finite_numbers
 from ..engine.binding import leave, run
 from ..errors import ContactSystemError, SurfaceError
 from ..kept import kept
@@ -37,7 +37,6 @@ class CentralChart(Chart):
     central = True
     periods = (None, TURN)
     singular_at = "a pole (u = 0 or pi), or out of the centre's sight"
-    ranges = PolarChart.ranges
     wrap = PolarChart.wrap
 
     def coordinates(self, x: ca.SX) -> Pair:
@@ -218,17 +217,13 @@ class ParametricSurface(UserSurface):
     def _wrap(self, u: Any, v: Any) -> tuple[Any, Any]:
         return _into(u, self.u_range, self.u_period), _into(v, self.v_range, self.v_period)
 
-    def coordinates(
-        self, x: ArrayLike, guess: tuple[ArrayLike, ArrayLike] | None = None
-    ) -> tuple[Array, Array]:
+    def coordinates(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return (u, v) of points (..., 3) by Gauss-Newton on the distance to the surface.
 
         Parameters
         ----------
         x : array-like (..., 3)
             Points on the surface, m.
-        guess : pair of array-likes (...), optional
-            Where to start; default: the nearest points of a grid over u_range and v_range.
 
         Raises
         ------
@@ -236,7 +231,7 @@ class ParametricSurface(UserSurface):
             No point of the surface is found within 1e-9 of its size.
         """
         points = self._points(x)
-        u, v, miss = self.nearest(points, guess)
+        u, v, miss = self.nearest(points)
         # ~(a <= b) rather than a > b: a NaN is a miss too
         missed = np.flatnonzero(~(miss <= NEAR * self._scale(points)))
         if len(missed):
@@ -244,21 +239,19 @@ class ParametricSurface(UserSurface):
             raise SurfaceError(
                 f"{self!r}: no (u, v) found for the point {points.reshape(-1, 3)[i].tolist()}, "
                 f"nearest miss {miss.ravel()[i]:.3g} m; check that it lies on the surface, or give "
-                f"guess=(u, v), or u_range (now {self.u_range}) and v_range (now {self.v_range})"
+                f"another u_range (now {self.u_range}) and v_range (now {self.v_range})"
             )
         return self._wrap(u, v)
 
-    def nearest(
-        self, x: ArrayLike, guess: tuple[ArrayLike, ArrayLike] | None = None
-    ) -> tuple[Array, Array, Array]:
+    def nearest(self, x: ArrayLike) -> tuple[Array, Array, Array]:
         """Return (u, v) of the surface's points nearest to points (..., 3), and the distances.
+
+        The search starts from the nearest points of a grid over u_range and v_range.
 
         Parameters
         ----------
         x : array-like (..., 3)
             m.
-        guess : pair of array-likes (...), optional
-            As for `coordinates`; without it a nearer point of the surface may be overlooked.
 
         Returns
         -------
@@ -267,20 +260,8 @@ class ParametricSurface(UserSurface):
         """
         points = self._points(x)
         flat = points.reshape(-1, 3)
-        if guess is None:
-            starts = self._grid_starts(flat)
-        else:
-            try:
-                guess_u, guess_v = map(real_array, guess)
-                guesses = [np.broadcast_to(w, points.shape[:-1]) for w in (guess_u, guess_v)]
-            except (TypeError, ValueError, OverflowError):
-                raise SurfaceError(
-                    f"{self!r}: guess = {guess!r:.80} must be a pair (u, v), for each point or all"
-                ) from None
-            starts = [tuple(w.ravel() for w in guesses)]
-        best = np.array([*starts[0], np.full(len(flat), np.inf)])
-        missed = np.arange(len(flat))
-        for start_u, start_v in starts:
+        best, missed = np.full((3, len(flat)), math.inf), np.arange(len(flat))
+        for start_u, start_v in self._grid_starts(flat):
             tried = np.array(self._descend(flat[missed], start_u[missed], start_v[missed]))
             best[:, missed] = np.where(~(tried[2] >= best[2, missed]), tried, best[:, missed])
             missed = np.flatnonzero(~(best[2] <= NEAR * self.size))
