@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from numbers import Real
 from typing import Any, ClassVar
 
 import numpy as np
@@ -144,10 +143,9 @@ class Quadric(SecondDegree):
     def __post_init__(self) -> None:
         super().__post_init__()
         store(self, A=tuple(map(tuple, _symmetric(self.A).tolist())))
-        sheet = self.sheet
-        if not isinstance(sheet, Real) or isinstance(sheet, bool) or sheet not in (1, -1):
-            raise SurfaceError(f"Quadric: sheet = {sheet!r} must be 1 or -1")
-        store(self, sheet=int(sheet))
+        if self.sheet not in (1, -1):
+            raise SurfaceError(f"Quadric: sheet = {self.sheet!r} must be 1 or -1")
+        store(self, sheet=int(self.sheet))
         if self.chart not in IN_TWO and self.sheet == -1:
             raise SurfaceError(
                 "Quadric: sheet = -1, but this surface is in one piece "
