@@ -196,15 +196,9 @@ def test_conforming_surfaces_are_refused_at_a_pose_that_is_rounded(obj, finger):
 @pytest.mark.parametrize(
     ("which", "given", "words"),
     [
-        *(
-            (0, change, "'D1', contact 0: pose = .* give X_OF")
-            for change in (lambda x: x.swapaxes(1, 2), lambda x: 0 * x, lambda x: -x)
-        ),
+        (0, lambda x: x.swapaxes(1, 2), "'D1', contact 0: pose = .* give X_OF"),
         (0, np.zeros((2, 4, 4)), "has shape"),
-        (1, np.zeros((3, 3)), "has shape"),
-        (2, np.zeros(3), "has shape"),
         *((i, x, "D1.*give numbers, shape") for i, x in enumerate(("pose", 1j, {}))),
-        (2, 10**400, "D1.*give numbers, shape"),
         (1, np.full((3, 6), np.nan), "twist has a NaN"),
     ],
 )

@@ -73,6 +73,16 @@ def test_contact_point_on_a_developable_body_is_the_quadrature_of_the_law(obj, e
     unrolled = cs.plan(scene).states(t)[:, 0, 4:6] - SURFACES[obj][1]
     unrolled[:, 0] *= {"plane": 1.0, "cylinder": 0.1}[obj]
     assert unrolled == pytest.approx(moved, abs=1e-15)
+    # pushed by d while it rolls, V = -(1 - exp(-eta t)) M d / (eta sigma)
+    push = [cs.ObjectAcceleration(0, 0.0, 1.0, (0.3, -0.2))]
+    given = {"gain": scene.gain, "profile": (sigma,), "object_velocity": "rolling"}
+    plan = cs.plan(one_contact(obj, disturbances=push, **given))
+    moved = np.array([0.3 * {"plane": 1.0, "cylinder": 0.1}[obj], -0.2])
+    slip = np.outer(np.expm1(-eta * t) / eta, moved)
+    assert plan.slip(t)[:, 0] == pytest.approx(slip, abs=5e-12 * np.abs(slip).max())
+    assert plan.acceleration(t)[:, 0] == pytest.approx(
+        np.outer(-np.exp(-eta * t), moved), abs=1e-12
+    )
 
 
 def test_terms_of_sigma_that_cancel_cost_digits_and_no_panels():

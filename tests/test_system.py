@@ -207,7 +207,6 @@ def test_wrong_arguments_are_refused_by_name():
         (lambda: system.function("slips"), "output = 'slips' .* mean 'slip'"),
         (lambda: system.depends(["pose"]), r"output = \['pose'\] is unknown"),
         (lambda: system.evaluate("slip", 0.0, system.x0[:3]), r"x has shape \(3,\); give"),
-        (lambda: system.evaluate("state", [0.1], system.x0), "t"),
         (lambda: system.evaluate("state", None, system.x0), "t = None: give a time"),
         (lambda: system.from_states(0.5, state, [1.0]), r"w has shape \(1,\)"),
     ]

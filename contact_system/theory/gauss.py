@@ -6,8 +6,8 @@ With nodes x_i of [-1, 1], Lagrange polynomials l_j and Chebyshev polynomials T_
 * ``gauss_series[j][k]``, coefficients of T_k, k <= 15, of the antiderivative of l_j from -1 on,
 * ``gauss_top[j]``, that of T_16,
 * ``gauss_weight[j]`` = int_-1^1 l_j, ``gauss_last[j]`` = l_j(1),
-* ``gauss_through[j][k]`` and ``gauss_through_top[j]``, coefficients of T_k, k <= 15, and T_16 of the
-  polynomial that is 1 at x_j, and 0 at -1 and the other nodes.
+* ``gauss_through[j][k]`` and ``gauss_through_top[j]``, coefficients of T_k, k <= 15, and of T_16,
+  of the polynomial that is 1 at x_j, and 0 at -1 and the other nodes.
 
 Dense output is a Chebyshev series because its recurrence takes one operation, Legendre's three.
 Numbers are rounded once, from 60 digits.
