@@ -201,9 +201,11 @@ typedef struct {
 static double longest(const motion_t *m, double tau, double h, double steepest) {
   if (m->slip <= 0) return h;
   const double first = gain_at(m->drive, tau), lost = lost_at(m->drive, tau);
+  if (lost > 40.0) return h;
+  if (first * h > steepest) h = 0.99 * steepest / first;
   for (int k = 0; k < 60; k++) {
     const double lam = fmax(first, (lost_at(m->drive, tau + h) - lost) / h);
-    if (lam * h <= steepest || lost > 40.0) break;
+    if (lam * h <= steepest) break;
     h = fmax(0.5 * h, 0.99 * steepest / lam);
   }
   return h;
@@ -480,7 +482,7 @@ static void integrate(work_t *w, motion_t *m, double tolerance) {
   w->edges[0] = 0.0;
   while (s.tau < m->length) {
     /* a layer at the start may be as thin as it likes */
-    if (++tries > 40 * (count + 25) || !(s.h > 1e-15 * s.tau + 1e-30 * m->length))
+    if (++tries > 40 * (count + 25) || !(s.h > 1e-15 * s.tau))
       fail_motion(w, m, &s, STUCK, count);
     if ((double)++w->spent > budget) fail_motion(w, m, &s, TOO_MANY_PANELS, count);
     if (count && count % MANY == 0 && s.tau > mark) {
