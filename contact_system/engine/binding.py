@@ -71,7 +71,7 @@ class Fact(Structure):
     """``fact_t``: how one body was planned on one interval."""
 
     _fields_ = [
-        *((name, c_double) for name in ("start", "stop", "released")),
+        *((name, c_double) for name in ("start", "stop")),
         *((name, c_int64) for name in ("side", "kind", "ambient", "by_length", "forced")),
         *((name, c_int64) for name in ("panels", "reason", "slips")),
     ]

@@ -146,7 +146,6 @@ static int64_t facts(const plan_t *plan, int64_t contact, int64_t room, fact_t *
       if (n < room)
         out[n] = (fact_t){.start = k->start,
                           .stop = k->stop,
-                          .released = k->released,
                           .side = s,
                           .kind = k->kind,
                           .ambient = k->ambient,

@@ -159,7 +159,7 @@ enum {
   FOLLOWING
 };
 typedef struct {
-  double start, stop, released; /* released: when slip was let go, s; or NaN */
+  double start, stop;
   int64_t side, kind, ambient, by_length, forced, panels, reason, slips;
 } fact_t;
 

@@ -18,9 +18,9 @@ enum { MANY = 4096 }; /* panels from one look at how many more it will take to t
 typedef struct {
   int64_t n;
   const drive_t *drive;
-  int by_length, stops;
+  int by_length;
   double length, first, reach;
-  double tolerance, slip, finish; /* slip: |V|, 0 without; it is let go where |V| decay <= finish */
+  double tolerance, slip, finish; /* slip: |V|, 0 without; it ends where |V| decay <= finish */
   double state[MAX_STATES], scale[MAX_STATES]; /* errors are measured in 1/scale */
   /* what `rates` reads */
   const contact_t *contact;
@@ -30,7 +30,7 @@ typedef struct {
   double w[2], v[2], push[2], offset[2];
   /* what came out */
   panels_t panels;
-  double reached, released; /* released: -1 unless slip was let go */
+  double reached;
 } motion_t;
 
 /* what is known beforehand at the nodes of a panel */
@@ -472,9 +472,8 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
 static void integrate(work_t *w, motion_t *m, double tolerance) {
   /* below 4e-16 a series' tail is rounding */
   m->tolerance = fmax(0.1 * fmin(tolerance, COARSE), 4e-16);
-  m->released = -1.0;
-  const double wide = pow(m->tolerance / 1e-13, 1.0 / L), first = m->first * wide;
-  step_t s = {.h = longest(m, 0.0, fmin(first, m->length), fmin(STEEPEST, FALL * wide))};
+  const double wide = pow(m->tolerance / 1e-13, 1.0 / L), first = fmin(m->first * wide, m->length);
+  step_t s = {.h = longest(m, 0.0, first, fmin(STEEPEST, FALL * wide))};
   const double budget = w->plan->scene[S_PANELS];
   int64_t count = 0, tries = 0;
   double mark = 0.0;
@@ -495,13 +494,7 @@ static void integrate(work_t *w, motion_t *m, double tolerance) {
     if (before >= 0) s.before = w->series + before;
     if (!panel(w, m, &s, w->series + count * m->n * TERMS)) continue;
     w->edges[++count] = s.tau;
-    if (m->slip > 0 && m->finish > 0 && s.tau < m->length &&
-        m->slip * decay_at(m->drive, s.tau) <= m->finish) {
-      m->released = s.tau;
-      if (m->stops) break;
-      m->slip = 0.0; /* from here on decay is not evaluated, nor resolved */
-      s.h = fmax(s.h, first);
-    }
+    if (m->finish > 0 && s.tau < m->length && m->slip * decay_at(m->drive, s.tau) <= m->finish) break;
   }
   m->reached = s.tau;
   m->panels = (panels_t){count, m->n, w->edges, w->series};

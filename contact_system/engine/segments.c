@@ -12,9 +12,6 @@ static const double FIRST = 0.65;
 /* Slip whose whole remaining displacement is below this part of tolerance * size is let go. */
 static const double NEGLIGIBLE_PART = 0.01;
 static const double ROUNDING = 1e-17; /* the same of what no tolerance asks for */
-/* Path beyond which, in sizes of the body, the rest of a slipping interval is made a geodesic: that
-   is free however long it is, while a short rest is cheaper as one more panel. */
-static const double LONG_REST = 6.0;
 /* Path, in sizes of a body, after which rounding leaves less than four digits of its position */
 static const double ENDLESS = 1e11;
 
@@ -45,7 +42,7 @@ static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, 
   track_t *k = &c->c->tracks[side][c->c->n_tracks[side]++];
   memset(k, 0, sizeof *k);
   k->drive = d, k->start = d->start, k->stop = stop, k->reason = reason;
-  k->released = NAN, k->ambient = c->ambient[side];
+  k->ambient = c->ambient[side];
   memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
   return k;
 }
@@ -116,7 +113,6 @@ static track_t *add_motion(course_t *c, motion_t *m, double stop, int reason) {
   memcpy(k->v, m->v, sizeof k->v), memcpy(k->push, m->push, sizeof k->push);
   memcpy(k->offset, m->offset, sizeof k->offset);
   k->slips = any(k->v), k->offsets = any(k->offset);
-  if (m->released >= 0) k->released = m->drive->start + m->released;
   require_regular(c->w, m->side, m->body, k);
   return k;
 }
@@ -201,15 +197,13 @@ static void line(course_t *c, const drive_t *d, const double *offset, int matter
   lay_line(c->w, &c->c->body[1], state, k);
 }
 
-/* Develops the object while slip or a rate offset lasts; returns the time reached. Slip that moves
-   the contact by less than the tolerance is left out of the integration, never out of the rates. */
+/* Develops the object while a rate offset lasts, or slip that moves the contact by more than the
+   tolerance; returns the time reached. */
 static double driven(course_t *c, const drive_t *d, const double *offset, double negligible) {
   const body_t *b = &c->c->body[1];
   motion_t m = motion_of(c, 1, d, any(offset));
   memcpy(m.v, c->v, sizeof m.v), memcpy(m.offset, offset, sizeof m.offset);
-  m.stops = !any(offset) && length_at(d, m.length) > LONG_REST * b->size;
-  m.finish = negligible;
-  m.slip = norm(c->v) > m.finish ? norm(c->v) : 0.0;
+  m.slip = norm(c->v), m.finish = any(offset) ? 0.0 : negligible;
   m.first = first_panel(d, m.length, b);
   return add_motion(c, &m, d->stop, reason_of(c, offset))->stop;
 }

@@ -41,7 +41,7 @@ typedef struct {
 /* One body on one interval. Its drive is sigma (w - v decay) in the parallel frame; of a contact
    under accelerations, W_1 and V are rows of the panels. */
 typedef struct {
-  double start, stop, released;
+  double start, stop;
   int64_t kind, by_length, forced, reason;
   int ambient;
   const drive_t *drive;

@@ -87,8 +87,6 @@ def _reason(scene: Scene, contact: int, f: Fact) -> str:
         return why + "; integrated even where a closed form is known, to confirm it"
     if f.kind == PANELS and f.by_length:
         why += "; no closed form on this surface"
-    elif f.released == f.released:
-        why += f", below tolerance from t = {f.released:.6g} s on"
     return why
 
 
