@@ -153,7 +153,7 @@ class FingertipDriver(LeafSystem):
         # What the plant is made from; the plant itself would keep this system for ever.
         self.scene, self.config = scene_plant.scene, scene_plant.config
         self.object_index = int(scene_plant.object_body.index())
-        self._object_center = scene_plant.object_body.default_com()
+        self._object_center = np.array(scene_plant.object_body.default_com())
         self.finger_indices = [body.index() for body in fingers]
         _check(scene_plant)
         constants = [tip_constants(body, scene_plant, hold=0.0) for body in fingers]

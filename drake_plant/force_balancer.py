@@ -60,7 +60,7 @@ class ForceBalancer(LeafSystem):
         self._least, self._index = least, int(body.index())
         self._config: StationConfig = config
         inertia = body.default_spatial_inertia()
-        self._center = inertia.get_com()
+        self._center = np.array(inertia.get_com())
         central = inertia.Shift(self._center).CalcRotationalInertia().CopyToFullMatrix3()
         self._body = inertia.get_mass(), central
         self._gravity = gravity_on(plant, body)
