@@ -295,13 +295,15 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     # --- what Drake calls ----------------------------------------------------------------------
 
-    def _Load(self, context: Any, *outputs: str) -> None:
+    def _Load(self, context: Any, *outputs: str) -> Scratch:
         own = self._scratches.own
-        own.t[0] = t = context.get_time()
-        own.x[:] = context.get_continuous_state_vector().CopyToVector()
+        time, x = own.written
+        time[0] = t = context.get_time()
+        x[:] = context.get_continuous_state_vector().CopyToVector()
         after, before = own.same
         if not after < t < before:
             self._LoadRest(context, own, t, *outputs)
+        return own
 
     def _LoadRest(self, context: Any, own: Scratch, t: float, *outputs: str) -> None:
         """What the windows and the disturbance port add at t, and held numbers."""
@@ -321,16 +323,10 @@ class ContactPlanner(_Convertible, LeafSystem):
         return self._scratches.own.evaluate(*outputs)
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-        own = self._scratches.own
-        time, x, run, guard, rate = own.hot  # the lines of _Load: a call takes 0.2 us
-        time[0] = t = context.get_time()
-        x[:] = context.get_continuous_state_vector().CopyToVector()
-        after, before = own.same
-        if not after < t < before:
-            self._LoadRest(context, own, t, "derivatives")
+        run, guard, rate = self._Load(context, "derivatives").rates
         run()
         if not guard[0] > 0.0:
-            refuse(self.system, *own.given)
+            refuse(self.system, *self._scratches.own.given)
         derivatives.SetFromVector(rate)
 
     def _Moves(self, t: float) -> Array:

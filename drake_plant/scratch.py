@@ -27,7 +27,8 @@ class Scratch:
     ----------
     t, x, w, held : arguments of `SceneSystem.function`, the first of `given`
     same : between these times w stays as it is
-    hot : t, x, run, guard, derivatives of the machine of the derivatives
+    written : t and x, as they are written fastest
+    rates : run, guard and derivatives of the machine of the derivatives
     """
 
     def __init__(self, system: SceneSystem):
@@ -42,7 +43,8 @@ class Scratch:
         self.x[:], self.held[:] = system.x0, system.held0
         self.steps = StepWatch(system.scene.duration)
         rates, guard, clearance = machine.parts
-        self.hot = (self.t.data, self.x.data, machine.run, guard.data, rates)
+        self.written = self.t.data, self.x.data
+        self.rates = machine.run, guard.data, rates
         self.clearance = clearance.data
 
     def evaluate(self, *outputs: str) -> Array:

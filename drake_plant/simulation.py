@@ -232,7 +232,7 @@ class Log:
         instances = [body.model_instance() for body in parts.finger_bodies]
         ports = [plant.get_generalized_contact_forces_output_port(i) for i in instances]
         self._pressing = [partial(port.Eval, physics) for port in ports if port.size()]
-        self._step, self._period, self._next = plant.time_step(), period, 0.0
+        self._step, self._period, self._next = plant.time_step(), period, 0
         self._t: list[float] = []
         self._rows: list[list[Array]] = []
         self.begun = math.nan
@@ -261,11 +261,11 @@ class Log:
         steps = t / self._step if self._step else 0.0
         if abs(steps - round(steps)) > NEAR and not last:  # the planner's, within one of the plant
             return
-        due = t >= self._next or (last and t > self._t[-1])
+        periods = math.floor(t / self._period + NEAR)
+        due = periods >= self._next or (last and t > self._t[-1])
         if not due and self._all_press():
             return
-        whole = math.floor(t / self._period + 0.5 * NEAR)
-        self._next = (whole + 1 - NEAR) * self._period
+        self._next = periods + 1
         self._t.append(t)
         self._rows.append([ask().copy() for ask in self._asked.values()])
 
