@@ -254,8 +254,7 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     def _Begin(self, context: Any) -> None:
         """From now on contacts are compared with the plan from the state that a Context has."""
-        self._Load(context, "derivatives")
-        own, system = self._scratches.own, self.system
+        own, system = self._Load(context, ("derivatives",)), self.system
         t = own.t[0]
         first, now = (system.scene.speeds(time) for time in (0.0, t))
         if system.coordinates == "chart" and (first != now).any() and (own.x == system.x0).all():
@@ -295,17 +294,17 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     # --- what Drake calls ----------------------------------------------------------------------
 
-    def _Load(self, context: Any, *outputs: str) -> Scratch:
+    def _Load(self, context: Any, outputs: tuple[str, ...]) -> Scratch:
         own = self._scratches.own
         time, x = own.written
         time[0] = t = context.get_time()
         x[:] = context.get_continuous_state_vector().CopyToVector()
         after, before = own.same
         if not after < t < before:
-            self._LoadRest(context, own, t, *outputs)
+            self._LoadRest(context, own, t, outputs)
         return own
 
-    def _LoadRest(self, context: Any, own: Scratch, t: float, *outputs: str) -> None:
+    def _LoadRest(self, context: Any, own: Scratch, t: float, outputs: tuple[str, ...]) -> None:
         """What the windows and the disturbance port add at t, and held numbers."""
         added = self._Disturbance(context, *outputs)
         own.w[:] = self._Windows(context)
@@ -319,11 +318,10 @@ class ContactPlanner(_Convertible, LeafSystem):
             own.same = (t, t) if t in edges else (edges[k - 1], edges[k])
 
     def _Numbers(self, context: Any, *outputs: str) -> Array:
-        self._Load(context, *outputs)
-        return self._scratches.own.evaluate(*outputs)
+        return self._Load(context, outputs).evaluate(*outputs)
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-        run, guard, rate = self._Load(context, "derivatives").rates
+        run, guard, rate = self._Load(context, ("derivatives",)).rates
         run()
         if not guard[0] > 0.0:
             refuse(self.system, *self._scratches.own.given)
