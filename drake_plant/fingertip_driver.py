@@ -25,7 +25,7 @@ from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.multibody.tree import BodyIndex, world_index
 from pydrake.systems.framework import Context, LeafSystem, State
 
-from contact_system import SceneError
+from contact_system import Scene, SceneError
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
@@ -38,6 +38,8 @@ from .scratch import FingerTables, PerThread, halves, named, split
 from .tip_law import CONSTANT, SHARE, TIP, tip_constants, tip_wrench
 
 Array = NDArray[np.float64]
+ROUNDING = 1e-9
+"""Of a time that is a sum of steps."""
 OFF = 1e-4
 """Of a finger's size, how far its mass centre may be from its origin."""
 
@@ -141,7 +143,8 @@ class FingertipDriver(LeafSystem):
     ------
     SceneError
         A discrete plant without sampled output ports, or whose steps are too long for a finger; a
-        finger that is not free, or whose mass centre is not its origin.
+        finger that is not free, or whose mass centre is not its origin; in a simulation a time
+        beyond the scene's end, up to which the meshes of AddScenePlant reach.
     """
 
     __slots__ = NO_DICTIONARY
@@ -174,6 +177,8 @@ class FingertipDriver(LeafSystem):
         needs = (self.all_input_ports_ticket(), self.xd_ticket() if step else self.nothing_ticket())
         law, self._found = array_entry(self._CalcLaw, (n, 6 + STATE), needs)
         self.DeclareAbstractOutputPort("spatial_forces", forces, weakly(self._CalcForces), {law})
+        if scene_plant.meshed:
+            self.DeclarePerStepPublishEvent(partial(_refuse_beyond, self.scene))
         if not step:
             return
         self.DeclareDiscreteState(STATE * n)
@@ -227,6 +232,15 @@ def _applied(body: BodyIndex, center: Array) -> ExternallyAppliedSpatialForce:
     applied = ExternallyAppliedSpatialForce()
     applied.body_index, applied.p_BoBq_B = body, center
     return applied
+
+
+def _refuse_beyond(scene: Scene, context: Context) -> None:
+    if context.get_time() > scene.duration * (1 + ROUNDING):
+        raise SceneError(
+            f"{scene.title}: t = {context.get_time():.6g} s: the plant's meshes reach as far as "
+            f"contacts go until the scene's end at {scene.duration:g} s; to simulate longer build "
+            "it of scene.replace(duration=...)"
+        )
 
 
 def _check(parts: ScenePlant) -> None:

@@ -148,6 +148,9 @@ class ScenePlant:
     object_body : RigidBody
     finger_bodies : list of RigidBody
         One a contact.
+    meshed : bool
+        Whether bodies have meshes that reach as far as contacts go until the scene's end, as those
+        of AddScenePlant: the driver refuses to go on.
 
     Raises
     ------
@@ -161,6 +164,7 @@ class ScenePlant:
     scene_graph: SceneGraph
     object_body: RigidBody
     finger_bodies: list[RigidBody]
+    meshed: bool = False
 
     def __post_init__(self) -> None:
         wanted, given = len(self.scene.contacts), len(self.finger_bodies)
@@ -244,7 +248,8 @@ def _add(
     plant.Finalize()
     if turning is not None:
         _connect_turning(builder, plant, turning)
-    return ScenePlant(scene, config, plant, scene_graph, object_body, fingers)
+    meshed = config.contact_model == "hydroelastic"
+    return ScenePlant(scene, config, plant, scene_graph, object_body, fingers, meshed)
 
 
 def _check_names(builder: DiagramBuilder, config: StationConfig) -> None:

@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -41,7 +40,6 @@ from .pushes import PushSource
 
 Array = NDArray[np.float64]
 
-ROUNDING = 1e-9  # of a time that is a sum of steps
 STARTED = {"planner": PlannerBase, "driver": FingertipDriver, "plant": MultibodyPlant}
 
 
@@ -145,8 +143,6 @@ def build(
     if config.disturbance_input:
         builder.ExportInput(planner.GetInputPort("disturbance"), "disturbance")
     _export(builder, planner, driver, monitor, parts)
-    if config.contact_model == "hydroelastic":
-        planner.DeclarePerStepPublishEvent(partial(_refuse_beyond, scene))
     if extend is not None:
         extend(builder, parts)
     return builder.Build(), parts
@@ -187,15 +183,6 @@ def _export(
     for name in ("body_poses", "contact_results"):
         builder.ExportOutput(plant.GetOutputPort(name), name)
     builder.ExportOutput(parts.scene_graph.get_query_output_port(), "query")
-
-
-def _refuse_beyond(scene: Scene, context: Context) -> None:
-    if context.get_time() > scene.duration * (1 + ROUNDING):
-        raise SceneError(
-            f"{scene.title}: t = {context.get_time():.6g} s: the station's meshes reach as far as "
-            f"contacts go until the scene's end at {scene.duration:g} s; to simulate longer build "
-            "it of scene.replace(duration=...)"
-        )
 
 
 def _planner(scene: Scene, config: StationConfig) -> PlannerBase:
