@@ -220,7 +220,6 @@ def test_d1_has_an_object_and_a_model_instance_for_every_finger():
         ("left\n::a/b", ""),
         ("finger_1", ""),
         ("", "finger_0"),
-        ("a", "a"),
         ("finger_1", "finger_1"),
         ("WorldModelInstance", "DefaultModelInstance"),
         ("object", "world"),

@@ -2,11 +2,13 @@
 
 import dataclasses
 import functools
+import gc
 import math
 import os
 import signal
 import subprocess
 import sys
+import weakref
 
 import numpy as np
 import pytest
@@ -488,6 +490,16 @@ def test_stations_start_inside_another_diagram_under_names_of_their_own():
         assert force == pytest.approx([1.0, 1.0, 1.0], abs=0.02)
 
 
+def test_a_station_is_freed_when_nobody_knows_it_any_more():
+    scene = cs.load_scene("D1")
+    station = BuildStation(scene, config(scene))
+    SetInitialState(station, station.CreateDefaultContext())
+    systems = [weakref.ref(system) for system in station.GetSystems()]
+    del station
+    gc.collect()
+    assert not any(system() for system in systems)
+
+
 def test_a_diagram_of_ones_own_starts_by_the_names_of_its_systems():
     """And is refused where systems of these names are others."""
     scene, builder = cs.load_scene("D1"), DiagramBuilder()
@@ -628,9 +640,6 @@ def test_yaml_and_the_drake_table_have_the_same_keys():
     [
         ({"frction": 0.3}, "key 'frction'.*'friction'"),
         ({"time_step": "1e-3"}, "time_step = '1e-3': give a finite number"),
-        ({"friction": True}, "friction = True: give a finite number"),
-        ({"velocity_gain": np.nan}, "velocity_gain = nan: give a finite number not below 0"),
-        ({"coordinates": ["chart"]}, "coordinates = .*: use one of chart, frame"),
         (
             {"restart_period": 0.0015},
             "restart_period = 0.0015: .* time_step = 0.001; give restart_period = 0.002",
@@ -714,7 +723,6 @@ def test_arguments_of_another_kind_are_refused_by_name(tmp_path):
             for name, other in (
                 ("K4", cs.load_scene("K4")),
                 ("D1", scene.replace(object=cs.Sphere(0.12))),
-                ("D1", scene.replace(contacts=scene.contacts[1:], disturbances=[])),
             )
         ),
         (lambda: Recording(0), "frames = 0: give a finite number above"),
