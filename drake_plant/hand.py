@@ -78,8 +78,6 @@ class Hand:
 
     def check(self, contacts: int) -> None:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
-        if not isinstance(self.model, str):
-            raise SceneError(f'hand: model = {self.model!r}: give a file, or "" for the own hand')
         if self.joints not in FINGERS:
             raise SceneError(f"hand: joints = {self.joints!r}: give one of {[*FINGERS]}")
         if len(finite_numbers(self.base, "hand: base")) != 3:

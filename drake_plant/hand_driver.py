@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
@@ -171,23 +171,21 @@ class _Table:
     """What is planned at any time: before the first and after the last all rests."""
 
     def __init__(self, plan: Reorientation):
-        self.t = plan.t
-        self.motion = CubicHermiteSpline(self.t, plan.q, plan.v)
-        self.velocity, self.acceleration = self.motion.derivative(), self.motion.derivative(2)
+        self._times = plan.t[0], plan.t[-1]
+        motion = CubicHermiteSpline(plan.t, plan.q, plan.v)
         sizes = np.array([[c.finger.size] for c in plan.rolling.contacts])
-        self.rest = {
+        given = {
             "contact_force": plan.forces,
             "normal": plan.normals,
             "arm": sizes * plan.normals,
             "place": plan.object_pose[:, :3, 3],
         }
+        self._held = {name: make_interp_spline(plan.t, y, k=1) for name, y in given.items()}
+        self._held["q"] = motion
+        self._moving = {"v": motion.derivative(), "a": motion.derivative(2)}
 
     def at(self, time: float) -> dict[str, Array]:
-        t = self.t
-        inside = min(max(time, t[0]), t[-1])
-        moves = float(t[0] < time < t[-1])
-        k = min(max(int(np.searchsorted(t, inside)) - 1, 0), len(t) - 2)
-        part = (inside - t[k]) / (t[k + 1] - t[k])
-        found = {name: (1 - part) * y[k] + part * y[k + 1] for name, y in self.rest.items()}
-        found |= {"q": self.motion(inside), "v": moves * self.velocity(inside)}
-        return found | {"a": moves * self.acceleration(inside)}
+        first, last = self._times
+        inside, moves = min(max(time, first), last), first < time < last
+        found = {name: curve(inside) for name, curve in self._held.items()}
+        return found | {name: moves * curve(inside) for name, curve in self._moving.items()}

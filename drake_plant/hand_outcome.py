@@ -130,12 +130,15 @@ def _of_joints(chains: Chains, told: HandReport) -> str:
 
 def draw_errors(ax: Any, result: HandResult) -> None:
     told = hand_report(result)
-    ax.plot(result.t, 1e3 * told.off, color=INK, linewidth=1.2)
-    angle = np.degrees(told.turned_off)
-    ax.plot(result.t, angle, color=INK, linewidth=1.2, linestyle=":")
-    ax.set_title("Object off its path (dotted: angle, degrees)", loc="left", weight="bold")
-    ax.set_ylabel("distance [mm]")
-    ax.set_ylim(bottom=0.0)
+    for values, style in ((1e3 * told.off, "-"), (np.degrees(told.turned_off), ":")):
+        ax.plot(result.t, values, color=INK, linewidth=1.2, linestyle=style)
+    _label(ax, "Object off its path (dotted: angle, degrees)", "distance [mm]")
+
+
+def draw_slip(ax: Any, result: HandResult) -> None:
+    for i, slipped in enumerate(1e3 * np.cumsum(path_slid(result), axis=0).T):
+        ax.plot(result.t, slipped, color=colour_of(i), linewidth=1.2)
+    _label(ax, "Slip, summed", "slip [mm]")
 
 
 def draw_cones(ax: Any, result: HandResult) -> None:
@@ -144,26 +147,20 @@ def draw_cones(ax: Any, result: HandResult) -> None:
         ax.plot(result.plan.t, result.plan.cones[:, i], color=colour_of(i), linestyle="--")
     ax.axhline(result.config.friction_share, color=INK, linewidth=0.9, linestyle=":")
     title = "Part of the friction cone (dashed: planned; dotted: allowed)"
-    ax.set_title(title, loc="left", weight="bold")
-    ax.set_ylabel(r"$f_t / \mu N$")
-    ax.set_ylim(0.0, 1.0)
+    _label(ax, title, r"$f_t / \mu N$", top=1.0)
 
 
 def draw_torques(ax: Any, result: HandResult) -> None:
     for i, own in enumerate(result.plan.chains.joints):
         share = np.abs(result.torque[:, own]) / result.plan.chains.effort[own]
         ax.plot(result.t, share, color=colour_of(i), linewidth=0.9)
-    ax.set_title("Torques over their limits, each joint", loc="left", weight="bold")
-    ax.set_ylabel("part")
-    ax.set_ylim(0.0, 1.0)
+    _label(ax, "Torques over their limits, each joint", "part", top=1.0)
 
 
-def draw_slip(ax: Any, result: HandResult) -> None:
-    for i, slipped in enumerate(1e3 * np.cumsum(path_slid(result), axis=0).T):
-        ax.plot(result.t, slipped, color=colour_of(i), linewidth=1.2)
-    ax.set_title("Slip, summed", loc="left", weight="bold")
-    ax.set_ylabel("slip [mm]")
-    ax.set_ylim(bottom=0.0)
+def _label(ax: Any, title: str, unit: str, top: float | None = None) -> None:
+    ax.set_title(title, loc="left", weight="bold")
+    ax.set_ylabel(unit)
+    ax.set_ylim(0.0, top)
 
 
 HAND_PANELS = (draw_errors, draw_slip, draw_cones, draw_torques)
