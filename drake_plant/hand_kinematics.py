@@ -61,6 +61,7 @@ def add_hand(plant: MultibodyPlant, hand: Hand, scene: Scene, tips: list[RigidBo
     """
     parser = Parser(plant)
     parser.SetAutoRenaming(True)  # a contact may have the model's name
+    parser.package_map().PopulateFromRosPackagePath()
     if hand.model:
         try:
             instances = parser.AddModels(hand.model)
@@ -156,6 +157,12 @@ class Chains:
         self.lower, self.upper = np.clip(limits, -UNBOUNDED, UNBOUNDED)
         self._half = (self.upper - self.lower) / 2
         self.middle, self.unit = self.lower + self._half, np.minimum(self._half, 1.0)
+        if not self._half.all():
+            k = int(np.argmin(self._half))
+            raise SceneError(
+                f"hand: {self._limits([k], self.middle)}: it cannot move; give other limits, or a "
+                "fixed joint"
+            )
         self.effort = np.full(size, np.inf)
         for k in range(plant.num_actuators()):
             actuator = plant.get_joint_actuator(JointActuatorIndex(k))
@@ -276,36 +283,31 @@ class Chains:
         """Positions (nq,), near those given, at which tips have poses in the world at a time."""
         for _ in range(TRIES):
             self.put(q)
-            steps, left = np.zeros_like(q), []
-            for i, own in enumerate(self.joints):
-                off = way_to(poses[i], self.pose(i))
-                left.append(float(np.linalg.norm(off)))
-                steps[own] = self._nearest(i, self.jacobian(i), off)
-            if max(left) < REACHED:
+            off = np.array([way_to(X_WF, self.pose(i)) for i, X_WF in enumerate(poses)])
+            left = np.linalg.norm(off, axis=1)
+            if left.max() < REACHED:
                 return q
-            q = q + np.clip(steps, -0.3, 0.3)
+            q = q + np.clip(self.moved(q, off), -0.3, 0.3)
         i = int(np.argmax(left))
-        own = self.joints[i]
-        raise self.short_of(
-            own[0], t, f"{left[i]:.2g} m or rad are left, with {self._limits(own, q)}"
-        )
+        why = f"{left[i]:.2g} m or rad are left, with {self._limits(self.joints[i], q)}"
+        raise self.short_of(self.joints[i][0], t, why)
 
     def moved(self, q: Array, twists: Array) -> Array:
         """Velocities (nq,) of joints at which tips have V_WF, (n, 6)."""
         self.put(q)
         found = np.zeros_like(q)
         for i, own in enumerate(self.joints):
-            found[own] = self._nearest(i, self.jacobian(i), twists[i])
+            found[own] = self._nearest(i, self.jacobian(i), twists[i], np.zeros(len(own)))
         return found
 
-    def _nearest(self, i: int, J: Array, v: Array, free: Any = 0.0) -> Array:
+    def _nearest(self, i: int, J: Array, v: Array, free: Array) -> Array:
         """Of a finger's velocities with J q' = v, or nearly so where it is straight, those nearest
         to others."""
         own = self.joints[i]
         J, unit = J[:, own], self.unit[own] ** 2
         square = (J * unit) @ J.T
         square += 1e-12 * np.trace(square) * np.eye(len(square))
-        return free + unit * (J.T @ np.linalg.solve(square, v - J @ (free + np.zeros(len(own)))))
+        return free + unit * (J.T @ np.linalg.solve(square, v - J @ free))
 
     def _limits(self, joints: list[int], q: Array) -> str:
         told = (

@@ -185,6 +185,8 @@ def plan_reorientation(
     if config is None:
         config = StationConfig.from_scene(scene)
     require_config(config, StationConfig)
+    if path is not None and not hasattr(path, "GetAcceleration"):
+        raise SceneError(f"{scene.title}: path = {path!r:.80}: give a PiecewisePose")
     if path is not None and X_WO_goal is not None:
         raise SceneError(f"{scene.title}: X_WO_goal: a path ends at its own pose; give one of both")
     config = dataclasses.replace(config, hand=hand)
@@ -230,7 +232,7 @@ def _rolled(chains: Chains, path: Any) -> tuple[Array, Array, Array]:
 
     span = path.start_time(), path.end_time()
     every = np.linspace(*span, STEPS + 1)
-    fastest = FAST * max(chains.pace(np.ravel(path.GetVelocity(t))) for t in every)
+    fastest = FAST * max(chains.pace(np.ravel(path.GetVelocity(t))) for t in every) or 1.0
 
     def room(time: float, q: Array) -> float:
         return float(chains.room(q).min())
