@@ -99,44 +99,31 @@ def own_hand(azimuths: Sequence[float], joints: int = 4) -> str:
     Frames ``tip_0`` and so on have z along the last link and x, where a pad is by default, to the
     side to which the finger curls. The fingers of a hand that is at its zeros stand up.
     """
-    parts = [_link("palm", None, (0.0, 0.0, 0.0), 0.2, (PALM, 0.01))]
+    parts = [_link("palm", "", 0.2, PALM, 0.01, 0.0)]
     for i, azimuth in enumerate(azimuths):
-        root = (PALM * math.cos(azimuth), PALM * math.sin(azimuth), 0.0)
-        parent, placed = "palm", (*root, azimuth)
+        x, y = PALM * math.cos(azimuth), PALM * math.sin(azimuth)
+        parent, where = "palm", f'<pose relative_to="palm">{x} {y} 0 0 0 {azimuth}</pose>'
         for k, part in enumerate(FINGERS[joints]):
-            name, centre = f"finger_{i}_link_{k}", (0.0, 0.0, part.length / 2)
-            parts.append(_link(name, (parent, *placed), centre, part.mass, (0.008, part.length)))
+            name = f"finger_{i}_link_{k}"
+            parts.append(_link(name, where, part.mass, 0.008, part.length, part.length / 2))
             parts.append(_joint(f"finger_{i}_joint_{k}", parent, name, part))
-            parent, placed = name, (0.0, 0.0, part.length, 0.0)
-        parts.append(
-            f'<frame name="tip_{i}" attached_to="{parent}">'
-            f'<pose relative_to="{parent}">0 0 {part.length} 0 0 {math.pi}</pose></frame>'
-        )
+            parent, where = name, f'<pose relative_to="{name}">0 0 {part.length} 0 0 0</pose>'
+        end = f'<pose relative_to="{parent}">0 0 {part.length} 0 0 {math.pi}</pose>'
+        parts.append(f'<frame name="tip_{i}" attached_to="{parent}">{end}</frame>')
     body = "\n".join(parts)
     return f'<sdf version="1.9"><model name="hand">\n{body}\n</model></sdf>'
 
 
-def _link(
-    name: str,
-    placed: tuple | None,
-    centre: tuple[float, float, float],
-    mass: float,
-    shape: tuple[float, float],
-) -> str:
-    """A link as a rod, or the palm as a disc: radius and length of its cylinder."""
-    radius, length = shape
+def _link(name: str, where: str, mass: float, radius: float, length: float, middle: float) -> str:
+    """A link as a rod, or the palm as a disc, with its middle so high in its frame."""
     across = mass * (3 * radius**2 + length**2) / 12 + 1e-7
-    at = "{} {} {} 0 0 0".format(*centre)
-    where = ""
-    if placed is not None:
-        parent, x, y, z, yaw = placed
-        where = f'<pose relative_to="{parent}">{x} {y} {z} 0 0 {yaw}</pose>'
+    at = f"<pose>0 0 {middle} 0 0 0</pose>"
     seen = f"<cylinder><radius>{radius}</radius><length>{max(length, 0.016)}</length></cylinder>"
     return (
-        f'<link name="{name}">{where}<inertial><pose>{at}</pose><mass>{mass}</mass><inertia>'
+        f'<link name="{name}">{where}<inertial>{at}<mass>{mass}</mass><inertia>'
         f"<ixx>{across}</ixx><iyy>{across}</iyy><izz>{mass * radius**2 / 2 + 1e-7}</izz>"
         "<ixy>0</ixy><ixz>0</ixz><iyz>0</iyz></inertia></inertial>"
-        f'<visual name="{name}"><pose>{at}</pose><geometry>{seen}</geometry>'
+        f'<visual name="{name}">{at}<geometry>{seen}</geometry>'
         "<material><diffuse>0.6 0.62 0.66 1</diffuse></material></visual></link>"
     )
 

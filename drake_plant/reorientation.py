@@ -337,8 +337,6 @@ def _planned(scene: Scene, config: StationConfig, path: Any, least: float) -> Re
     mu, margin = config.friction, config.friction_share
     forces = balancing_forces(arms, normals, mu, *wanted, margin=margin, least=least, t=t)
     a = CubicHermiteSpline(t, q, v).derivative(2)(t)
-    torques = _torques(chains, q, v, a, points[:, :, 0], forces)
-    _refuse_torques(chains, t, torques)
     return Reorientation(
         hand=config.hand,
         scene=scene,
@@ -358,21 +356,10 @@ def _planned(scene: Scene, config: StationConfig, path: Any, least: float) -> Re
         slip=np.linalg.norm(found[..., SLIP], axis=-1),
         spin=found[..., FOUND],
         cones=friction_used(forces, normals, mu),
-        torques=torques,
+        torques=_torques(chains, t, q, v, a, points[:, :, 0], forces),
         joints=chains.names,
         chains=chains,
     )
-
-
-def _refuse_torques(chains: Chains, t: Array, torques: Array) -> None:
-    over = np.abs(torques) > chains.effort
-    if over.any():
-        k, joint = np.argwhere(over)[0]
-        raise SceneError(
-            f"joint {chains.names[joint]} needs {torques[k, joint]:.3g} "
-            f"{'N' if chains.slides[joint] else 'N m'} at t = {t[k]:.3g} s, its limit is "
-            f"{chains.effort[joint]:.3g}; press less, move more gently, or give a stronger hand"
-        )
 
 
 def _contacts(chains: Chains, X: list[RigidTransform], V: Array, q: Array, v: Array) -> Array:
@@ -414,7 +401,9 @@ def object_inertia(scene: Scene, config: StationConfig) -> Array:
     return inertia.CalcRotationalInertia().CopyToFullMatrix3()
 
 
-def _torques(chains: Chains, q: Array, v: Array, a: Array, points: Array, forces: Array) -> Array:
+def _torques(
+    chains: Chains, t: Array, q: Array, v: Array, a: Array, points: Array, forces: Array
+) -> Array:
     """Torques (m, nq) that move the joints against gravity, and press with the forces."""
     found = np.empty_like(q)
     for k in range(len(q)):
@@ -422,4 +411,13 @@ def _torques(chains: Chains, q: Array, v: Array, a: Array, points: Array, forces
         found[k] = chains.carrying(a[k])
         for i, (x, force) in enumerate(zip(points[k], forces[k])):
             found[k] += chains.jacobian(i, x)[3:].T @ force
+    over = np.abs(found) > chains.effort
+    if over.any():
+        k, joint = np.argwhere(over)[0]
+        unit = "N" if chains.slides[joint] else "N m"
+        raise SceneError(
+            f"joint {chains.names[joint]} needs {found[k, joint]:.3g} {unit} at t = {t[k]:.3g} s, "
+            f"its limit is {chains.effort[joint]:.3g}; press less, move more gently, or give a "
+            "stronger hand"
+        )
     return found
