@@ -47,6 +47,7 @@ Array = NDArray[np.float64]
 POSTURE, ON_PAD = 0.3, 1.0  # how strongly free joints go to the middles of ranges and pads
 NEAR = 0.02  # of what grows towards limits, where it ends
 INSIDE = 0.02  # of a joint's range, that is kept free at its limits
+STRAIGHT = 1e-8  # of a finger's greatest squared singular values, what counts as none
 SLIDES = 1e-3  # of the object's speed, from which on a contact is not said to roll
 AT_LIMIT = 1e-9  # of a joint's unit
 REACHED = 1e-9  # m or rad
@@ -306,8 +307,10 @@ class Chains:
         own = self.joints[i]
         J, unit = J[:, own], self.unit[own] ** 2
         square = (J * unit) @ J.T
-        square += 1e-12 * np.trace(square) * np.eye(len(square))
-        return free + unit * (J.T @ np.linalg.solve(square, v - J @ free))
+        square += STRAIGHT * np.trace(square) * np.eye(len(square))
+        for _ in range(2):  # the second makes up for what is left
+            free = free + unit * (J.T @ np.linalg.solve(square, v - J @ free))
+        return free
 
     def _limits(self, joints: list[int], q: Array) -> str:
         told = (
@@ -360,10 +363,10 @@ class Chains:
             v, J = V_WO[3:] + cross(V_WO[:3], arm), self.jacobian(i, x_F)[3:]
             found[own] = self._nearest(i, J, v, pace * self.away(i, q, normal))
             if np.linalg.norm(J @ found - v) > SLIDES * pace * self.scene.object.size:
-                names = ", ".join(self.names[k] for k in own)
                 raise SceneError(
-                    f"{self.scene.contact_name(i)} would slip: its joints, {names}, do not move "
-                    "its tip in every direction in which the object's surface goes"
+                    f"{self.scene.contact_name(i)} would slip: it cannot move its tip as the "
+                    f"object's surface goes, at {self._limits(own, q)}; fingers that stretch out "
+                    "or lie in a plane move theirs in two directions"
                 )
         return found
 
