@@ -1,4 +1,4 @@
-"""A hand: fingers as serial chains, the project's own three-jointed one or any model by file."""
+"""A hand: fingers as serial chains, the project's own one or any model by file."""
 
 import math
 from collections.abc import Sequence

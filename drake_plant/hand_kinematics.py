@@ -338,11 +338,6 @@ class Chains:
             f"{self.scene.contact_name(i)} does not get as far: at t = {t:.3g} s {why}"
         )
 
-    def pace(self, V_WO: Array) -> float:
-        """How fast the object moves, 1/s: its angular velocity, and how many of its sizes."""
-        w, v = np.split(V_WO, 2)
-        return float(np.linalg.norm(w) + np.linalg.norm(v) / self.scene.object.size)
-
     def rolling(self, q: Array, X_WO: RigidTransform, V_WO: Array) -> Array:
         """Velocities (nq,) of joints at which every tip rolls on the object without slip.
 
@@ -354,13 +349,14 @@ class Chains:
             A finger whose joints do not move its tip along.
         """
         self.put(q)
-        found, rotation, pace = np.zeros_like(q), X_WO.rotation().matrix(), self.pace(V_WO)
+        found, w, rotation = np.zeros_like(q), V_WO[:3], X_WO.rotation().matrix()
+        pace = np.linalg.norm(w) + np.linalg.norm(V_WO[3:]) / self.scene.object.size
         if not pace:
             return found
         for i, own in enumerate(self.joints):
             at = self.touch(i, X_WO)
             x_F, arm, normal = at[ON_FINGER], rotation @ at[ON_OBJECT], rotation @ at[NORMAL]
-            v, J = V_WO[3:] + cross(V_WO[:3], arm), self.jacobian(i, x_F)[3:]
+            v, J = V_WO[3:] + cross(w, arm), self.jacobian(i, x_F)[3:]
             found[own] = self._nearest(i, J, v, pace * self.away(i, q, normal))
             if np.linalg.norm(J @ found - v) > SLIDES * pace * self.scene.object.size:
                 raise SceneError(
