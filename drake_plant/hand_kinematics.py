@@ -51,7 +51,7 @@ STRAIGHT = 1e-8  # of a finger's greatest squared singular values, what counts a
 SLIDES = 1e-3  # of the object's speed, from which on a contact is not said to roll
 AT_LIMIT = 1e-9  # of a joint's unit
 REACHED = 1e-9  # m or rad
-TRIES = 60
+STARTS, TRIES = 20, 60  # of solving for positions, and steps towards poses
 UNBOUNDED = 1e3  # rad or m, of joints without limits
 
 
@@ -265,20 +265,29 @@ class Chains:
             frame = tip.body_frame()
             problem.AddPositionConstraint(frame, np.zeros(3), world, centre, centre)
             problem.AddAngleBetweenVectorsCost(world, -normal, frame, pad, ON_PAD)
-        program.SetInitialGuess(q, self.middle)
         program.SetSolverOption(SnoptSolver.id(), "Major feasibility tolerance", REACHED)
-        found = SnoptSolver().Solve(program).GetSolution(q)
-        self.put(found)
-        for i, own in enumerate(self.joints):
-            tip = self.pose(i).translation()
-            left = np.linalg.norm(centres[i] - tip)
-            if left > 10 * REACHED:
-                raise SceneError(
-                    f"{self.scene.contact_name(i)} does not reach {_places(points[i])} m: its tip "
-                    f"stays {left:.2g} m away, at {_places(tip)} m, with "
-                    f"{self._limits(own, found)}; put the hand elsewhere, by its base"
-                )
-        return found
+        random, tries = np.random.default_rng(0), []
+        for k in range(STARTS):  # SNOPT may end on the way
+            guess = self.middle + (k > 0) * self.unit * random.uniform(-1, 1, len(q))
+            found = SnoptSolver().Solve(program, guess).GetSolution(q)
+            if self._missed(found, centres).max() < 10 * REACHED:
+                return found
+            tries.append(found)
+        found = min(tries, key=lambda q: self._missed(q, centres).max())
+        left = self._missed(found, centres)
+        i = int(np.argmax(left))
+        point, tip = (np.round(x, 4).tolist() for x in (points[i], self.pose(i).translation()))
+        raise SceneError(
+            f"{self.scene.contact_name(i)} does not reach {point} m: its tip stays {left[i]:.2g} m "
+            f"away, at {tip} m, with {self._limits(self.joints[i], found)}; put the hand elsewhere,"
+            " by its base"
+        )
+
+    def _missed(self, q: Array, centres: Array) -> Array:
+        """How far tips are from where they should be, (n,), m."""
+        self.put(q)
+        tips = np.array([self.pose(i).translation() for i in range(len(self.tips))])
+        return np.linalg.norm(tips - centres, axis=1)
 
     def placed(self, t: float, q: Array, poses: list[RigidTransform]) -> Array:
         """Positions (nq,), near those given, at which tips have poses in the world at a time."""
@@ -371,7 +380,3 @@ def cross(a: Array, b: Array) -> Array:
     """a x b of two vectors, a tenth of numpy's time."""
     (x, y, z), (u, v, w) = a, b
     return np.array((y * w - z * v, z * u - x * w, x * v - y * u))
-
-
-def _places(point: Array) -> list[float]:
-    return np.round(point, 4).tolist()

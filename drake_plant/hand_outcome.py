@@ -119,10 +119,10 @@ def _of_joints(chains: Chains, told: HandReport) -> str:
     torques = f"{told.torque_share[k]:.0%} of the limit at most, at {chains.names[k]}"
     if not np.isfinite(chains.effort).any():
         torques = "without limits, as the model has no actuators"
-    slides = chains.slides[j]
-    near = 1e3 * told.room[j] if slides else math.degrees(told.room[j])
-    unit = "mm" if slides else "degrees"
-    return f"Torques: {torques}. Joints: {chains.names[j]} comes to {near:.3g} {unit} from a limit."
+    near = f"{math.degrees(told.room[j]):.3g} degrees"
+    if chains.slides[j]:
+        near = f"{1e3 * told.room[j]:.3g} mm"
+    return f"Torques: {torques}. Joints: {chains.names[j]} comes to {near} from a limit."
 
 
 # --- panels of its picture ---------------------------------------------------------------------
