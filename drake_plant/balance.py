@@ -32,14 +32,10 @@ Array = NDArray[np.float64]
 
 MARGIN = 0.8
 """Of a friction cone, so that facets and feedback leave what is measured below 90 %."""
-KNOTS = 51
-"""Times at which a plan is balanced before it is simulated."""
-LEFT = 1e-3
-"""Part of a wrench that counts as not balanced, where something has to be left."""
-UNIT = 1e-6
-"""How far from 1 a normal's length may be."""
-DEAR = 1e6
-"""How much dearer than forces that is, squared and in sizes of about 1."""
+KNOTS = 51  # times at which a plan is balanced before it is simulated
+UNIT = 1e-6  # how far from 1 a normal's length may be
+LEFT = 1e-3  # part of a wrench that counts as not balanced, where something has to be left
+DEAR = 1e6  # how much dearer than forces that is, squared and in sizes of about 1
 
 
 def balancing_forces(

@@ -37,7 +37,6 @@ POSTURE = 30.0  # 1/s, omega
 CORRECTION = 8.0  # 1/s, of what the object is off its path
 MOST = 0.3  # of the object's size, and rad, by which tips' places are corrected
 
-
 HELD = {**TIP, "slip": 3, **WANTED}
 """What the law of a tip on joints is made of."""
 
@@ -92,9 +91,8 @@ class HandDriver(LeafSystem):
         self._at_v = [joint.velocity_start() for joint in joints]
         self._free = scene_plant.object_body.floating_velocities_start_in_v()
         self._table = _Table(plan)
-        constants = [
-            tip_constants(body, scene_plant, hold=1.0) for body in scene_plant.finger_bodies
-        ]
+        tips = scene_plant.finger_bodies
+        constants = [tip_constants(tip, scene_plant, hold=1.0) for tip in tips]
         self._own = PerThread(partial(_own, plan, constants), {})
         self._state = self.DeclareVectorInputPort("state", plant.num_multibody_states())
         (self._poses,) = declare_plant_inputs(self, "body_poses")

@@ -375,9 +375,8 @@ def object_inertia(scene: Scene, config: StationConfig) -> Array:
     if isinstance(scene.object, (Sphere, Ellipsoid)):
         inertia = solid_inertia("object", scene.object, config.object_mass)
     else:  # a mesh tells, which takes half a second
-        inertia = AddScenePlant(
-            DiagramBuilder(), scene, config
-        ).object_body.default_spatial_inertia()
+        parts = AddScenePlant(DiagramBuilder(), scene, config)
+        inertia = parts.object_body.default_spatial_inertia()
     return inertia.CalcRotationalInertia().CopyToFullMatrix3()
 
 
