@@ -101,7 +101,7 @@ def test_what_does_not_exist_is_an_error_that_names_what_does(arguments, said, c
 
 def test_a_part_whose_package_is_missing_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "benchmarks.drake", None)
-    with pytest.raises(SystemExit, match=r'drake cannot run: .*pip install "\.\[bench\]"'):
+    with pytest.raises(SystemExit, match=r'drake cannot run: .*pip install -e "\.\[bench\]"'):
         main(["drake"])
 
 

@@ -219,8 +219,9 @@ static void anchor_track(work_t *w, const body_t *b, int side, track_t *k, const
   const int circle = k->kind == CIRCLE;
   const int64_t n = circle ? CIRCLE_ANCHORS + 1 : PANEL_ANCHORS * k->panels.n + 1;
   double *at = keep(w, (size_t)n), (*to)[3] = keep(w, (size_t)(3 * n));
-  double (*raw)[N_COORDINATES] = malloc((size_t)n * (sizeof *raw + sizeof(double)));
-  if (!raw) fail(w, NO_MEMORY);
+  double (*raw)[N_COORDINATES];
+  free(w->raw);
+  if (!(raw = w->raw = malloc((size_t)n * (sizeof *raw + sizeof(double))))) fail(w, NO_MEMORY);
   double *y = (double *)(raw + n);
   for (int64_t i = 0; i < n; i++) {
     const int64_t part = i / PANEL_ANCHORS;
@@ -246,7 +247,6 @@ static void anchor_track(work_t *w, const body_t *b, int side, track_t *k, const
       wind(b->surface, begin, z, 0);
     to[i][0] = z[U][0], to[i][1] = z[V][0], to[i][2] = z[THETA][0];
   }
-  free(raw);
   if (circle) /* a revolution later everything is as before but for whole turns */
     for (int j = 0; j < 3; j++) k->turn[j] = TURN * rint((to[n - 1][j] - to[0][j]) / TURN);
   k->anchor_at = at, k->anchors = (const double (*)[3])to, k->n_anchors = n;

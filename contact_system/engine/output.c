@@ -443,6 +443,9 @@ static int place_on_track(work_t *w, const contact_t *c, int side, const track_t
 /* Anchors the first n tracks of a side, each from where the one before it ends. */
 static void anchor_side(work_t *w, contact_t *c, int side, int64_t n) {
   double place[3];
+  int64_t known = 0;
+  while (known < n && (!c->tracks[side][known].ambient || c->tracks[side][known].n_anchors)) known++;
+  if (known == n) return;
   memcpy(place, c->place[side], sizeof place);
   for (int64_t i = 0; i < n; i++) {
     track_t *k = c->tracks[side] + i;

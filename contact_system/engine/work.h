@@ -101,6 +101,7 @@ struct work {
   int64_t n_one;
   double *edges, *series;  /* of the motion that is being integrated */
   int64_t room;            /* for so many rows of series */
+  void *raw;               /* anchors that are being found */
   int64_t spent, begun;    /* panels tried so far, and before this contact */
   int64_t most, greediest; /* by the contact that took most, of those before */
 };
@@ -121,7 +122,7 @@ static void end_work(work_t *w) {
     for (int a = 0; a < 2; a++)
       for (int t = 0; t < N_CHART; t++) free(w->body[s][a][t].r);
   for (int t = 0; t < N_CONTACT_TABLES; t++) free(w->pair[t].r);
-  free(w->one), free(w->edges), free(w->series);
+  free(w->one), free(w->edges), free(w->series), free(w->raw);
 }
 
 /* Room for n doubles in the plan */
