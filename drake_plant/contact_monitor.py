@@ -93,6 +93,11 @@ class ContactMonitor(LeafSystem):
     ------
     SceneError
         No ScenePlant, or one of other surfaces, sizes or contacts than the scene.
+
+    Attributes
+    ----------
+    measured : callable
+        Of a Context, all that the ports say but for noise: (n, 17), `contact_gauge.COLUMNS`.
     """
 
     __slots__ = NO_DICTIONARY
@@ -119,9 +124,9 @@ class ContactMonitor(LeafSystem):
         self._results, self._poses, self._velocities = inputs
         self._noise = self.DeclareVectorInputPort("noise", 9 * n)
         tickets = [port.ticket() for port in inputs]
-        measured, self._measured = array_entry(self._CalcMeasured, (n, NUMBERS), tickets)
+        ticket, self.measured = array_entry(self._CalcMeasured, (n, NUMBERS), tickets)
         for name, size in SIZES.items():
-            needs = {measured, self._noise.ticket()} if name in NOISY else {measured}
+            needs = {ticket, self._noise.ticket()} if name in NOISY else {ticket}
             calc = weakly(self._CalcVector, name)
             self.DeclareVectorOutputPort(name, size * n, calc, needs)
 
@@ -130,7 +135,7 @@ class ContactMonitor(LeafSystem):
 
     def _Rows(self, context: Context, name: str) -> Array:
         """What the output port of this name says, a row for each contact."""
-        measured = self._measured(context)
+        measured = self.measured(context)
         if name not in NOISY:
             return measured[:, COLUMNS[name]]
         states = measured[:, COLUMNS["state"]]

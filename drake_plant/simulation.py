@@ -27,7 +27,6 @@ from contact_system.writing import writing
 from .balance import friction_used
 from .config import StationConfig, checked
 from .contact_gauge import COLUMNS
-from .contact_monitor import SIZES
 from .planner_base import PORTS
 from .plant import ScenePlant
 from .reorientation import plan_reorientation
@@ -187,15 +186,18 @@ def simulate(
     ApplySimulatorConfig(INTEGRATION if config.time_step else CONTINUOUS, simulator)
     context = simulator.get_mutable_context()
     SetInitialState(station, context)
-    asked = _ports(station, context, "planner", "planned", PLANNED)
-    asked |= _ports(station, context, "balancer", "planned", BALANCED)
+    planner = station.GetSubsystemByName("planner")
+    own = planner.GetMyContextFromRoot(context)
+    asked: Asked = {"planned": lambda: planner.Evaluate(own, *PLANNED)}
+    for name in BALANCED if config.balances else ():
+        asked[name] = partial(station.GetOutputPort(f"planned_{name}").Eval, context)
     log = Log(station, context, parts, asked, period)
     ended = log.follow(simulator, duration, progress)
     t, said = log.read()
     measured = measurements(said, config)
     planned = _planned(said, measured, config)
     if config.restarts:
-        first = plan(station.GetSubsystemByName("planner").system.scene)
+        first = plan(planner.system.scene)
         planned["first_contact_point"] = first.points(t)[:, :, 1]
     result = SimulationResult(
         scene, config, t, planned, measured, said["pose"], log.begun - begun, ended - log.begun
@@ -227,7 +229,9 @@ class Log:
         self, station: Diagram, root: Context, parts: ScenePlant, asked: Asked, period: float
     ):
         plant, physics = parts.plant, parts.plant.GetMyContextFromRoot(root)
-        self._asked = asked | _ports(station, root, "monitor", "measured", tuple(COLUMNS))
+        monitor = station.GetSubsystemByName("monitor")
+        self._measured = partial(monitor.measured, monitor.GetMyContextFromRoot(root))
+        self._asked = asked | {"measured": self._measured}
         self._asked["pose"] = lambda: parts.object_body.EvalPoseInWorld(physics).GetAsMatrix4()
         instances = [body.model_instance() for body in parts.finger_bodies]
         ports = [plant.get_generalized_contact_forces_output_port(i) for i in instances]
@@ -272,7 +276,7 @@ class Log:
     def _all_press(self) -> bool:
         if self._pressing:  # quicker than to measure
             return all(any(force().tolist()) for force in self._pressing)
-        return bool((self._asked["measured_normal_force"]() > 0).all())
+        return bool((self._measured()[:, COLUMNS["normal_force"]] > 0).all())
 
     def read(self) -> tuple[Array, dict[str, Array]]:
         """Times, and what was said then."""
@@ -280,34 +284,21 @@ class Log:
         return np.array(self._t), said
 
 
-def _ports(station: Diagram, root: Context, owner: str, kind: str, names: tuple[str, ...]) -> Asked:
-    """What output ports of a system say, if the station has it, such as "measured_slip"."""
-    if not station.HasSubsystemNamed(owner):
-        return {}
-    system = station.GetSubsystemByName(owner)
-    own = system.GetMyContextFromRoot(root)
-    return {f"{kind}_{name}": partial(system.GetOutputPort(name).Eval, own) for name in names}
-
-
-def _by_contact(said: Array, width: int) -> Array:
-    return said.reshape(len(said), -1, width)
-
-
 def _planned(
     said: Mapping[str, Array], measured: Mapping[str, Array], config: StationConfig
 ) -> dict[str, Array]:
     """As a SimulationResult has it."""
-    planned = {name: _by_contact(said[f"planned_{name}"], PORTS[name]) for name in PLANNED}
+    ends = np.cumsum([PORTS[name] for name in PLANNED])[:-1]
+    planned = dict(zip(PLANNED, np.split(said["planned"], ends, axis=2)))
     planned["contact_point"] = planned["contact_point"][:, :, 3:]
     for name, constant in zip(BALANCED, (config.normal_force, 0.0)):
-        always = np.full_like(measured["normal_force"], constant)
-        planned[name] = said.get(f"planned_{name}", always)
+        planned[name] = said.get(name, np.full_like(measured["normal_force"], constant))
     return planned
 
 
 def measurements(said: Mapping[str, Array], config: StationConfig) -> dict[str, Array]:
     """As a SimulationResult has them."""
-    measured = {name: _by_contact(said[f"measured_{name}"], SIZES[name]) for name in COLUMNS}
+    measured = {name: said["measured"][:, :, columns] for name, columns in COLUMNS.items()}
     normal = measured["normal_force"] = measured["normal_force"][:, :, 0]
     forces = np.dstack([measured["tangential_force"], normal])
     measured["friction_used"] = friction_used(forces, [0.0, 0.0, 1.0], config.friction)
