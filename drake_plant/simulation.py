@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import gc
-import io
 import math
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,9 +81,9 @@ class SimulationResult:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the logs.
 
-        ``.npz``: the scene (as TOML text), all logs, such as ``planned_slip`` and
-        ``measured_slip``, and the other arrays, such as t and object_pose. ``.csv``: forces, slip
-        and contact points, one line a time and contact.
+        ``.npz``: the scene (as TOML text, its [drake] table what `config` says), all logs, such as
+        ``planned_slip`` and ``measured_slip``, and the other arrays, such as t and object_pose.
+        ``.csv``: forces, slip and contact points, one line a time and contact.
 
         Raises
         ------
@@ -97,7 +95,7 @@ class SimulationResult:
             raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .npz or .csv")
         with writing(path, f"{self.scene.title}: ") as file:
             if path.suffix == ".csv":
-                file.write(self._csv().encode())
+                self._write_csv(file)
                 return
             logs: dict[str, Any] = {
                 f"{kind}_{name}": values
@@ -106,9 +104,11 @@ class SimulationResult:
             }
             own = {field.name: getattr(self, field.name) for field in fields(self)}
             logs |= {key: values for key, values in own.items() if isinstance(values, np.ndarray)}
-            np.savez_compressed(file, scene=np.array(scene_to_toml(self.scene)), **logs)
+            settings = {key: x for key, x in asdict(self.config).items() if x is not None}
+            scene = scene_to_toml(self.scene.replace(drake=settings))
+            np.savez_compressed(file, scene=np.array(scene), **logs)
 
-    def _csv(self) -> str:
+    def _write_csv(self, file: BinaryIO) -> None:
         head = ["t [s]", "contact", "normal force [N]"]
         columns = [self.measured["normal_force"][:, :, None]]
         for kind, name, axes, unit in (
@@ -122,12 +122,11 @@ class SimulationResult:
             head += [f"{title} {axis} [{unit}]" for axis in axes]
             columns.append(getattr(self, kind)[name.replace(" ", "_")])
         table = np.concatenate(columns, axis=2)
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(head)
-        for t, contacts in zip(self.t.tolist(), table.tolist()):
-            writer.writerows([repr(t), i, *map(repr, row)] for i, row in enumerate(contacts))
-        return text.getvalue()
+        m, n, width = table.shape
+        whose = np.repeat(self.t, n), np.tile(np.arange(n), m)
+        rows = np.column_stack([*whose, table.reshape(m * n, width)])
+        form = ["%s", "%d", *["%s"] * width]
+        np.savetxt(file, rows, form, ",", header=",".join(head), comments="")
 
 
 def simulate(
