@@ -19,11 +19,11 @@ FINER = 2  # halvings of the triangles that are painted in one of two shades
 SHADE = 0.65  # brightness of the darker one
 
 
-def rigid_mesh(mesh: SurfaceMesh, name: str) -> Mesh:
+def rigid_mesh(mesh: SurfaceMesh) -> Mesh:
     """The corrected triangles as a Drake Mesh in memory, for rigid hydroelastic contact."""
     lines = _rows("v %.9g %.9g %.9g", mesh.corrected())
     lines += _rows("f %d %d %d", mesh.triangles + 1)
-    return _in_memory(lines, ".obj", name)
+    return _in_memory(lines, ".obj")
 
 
 def inner_points(surface: Surface) -> Array:
@@ -54,7 +54,7 @@ def compliant_mesh(mesh: SurfaceMesh, inner: Array, name: str) -> Mesh:
     lines += [f"CELLS {len(cells)} {5 * len(cells)}"]
     lines += _rows("4 %d %d %d %d", cells)
     lines += [f"CELL_TYPES {len(cells)}", *["10"] * len(cells)]
-    return _in_memory(lines, ".vtk", name)
+    return _in_memory(lines, ".vtk")
 
 
 def _with_ends(mesh: SurfaceMesh) -> tuple[Array, Triangles]:
@@ -118,7 +118,7 @@ def rgba(colour: str, alpha: float = 1.0) -> Rgba:
     return Rgba(*(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)), alpha)
 
 
-def painted(domain: Domain, name: str, colour: Rgba) -> list[tuple[Mesh, Rgba]]:
+def painted(domain: Domain, colour: Rgba) -> list[tuple[Mesh, Rgba]]:
     """The true surface in two sets of patches of two shades: rolling shows."""
     q, triangles = domain.base(domain.patches)
     dark = np.arange(len(triangles)) % 2 == 1
@@ -131,7 +131,7 @@ def painted(domain: Domain, name: str, colour: Rgba) -> list[tuple[Mesh, Rgba]]:
     facing = np.repeat(outward(points, normals, triangles) + 1, 2, axis=1)
     shaded = Rgba(*(SHADE * c for c in (colour.r(), colour.g(), colour.b())), colour.a())
     return [
-        (_in_memory(lines + _rows("f %d//%d %d//%d %d//%d", facing[part]), ".obj", name), shade)
+        (_in_memory(lines + _rows("f %d//%d %d//%d %d//%d", facing[part]), ".obj"), shade)
         for part, shade in ((~dark, colour), (dark, shaded))
     ]
 
@@ -140,7 +140,6 @@ def _rows(form: str, table: Array | Triangles) -> list[str]:
     return [form % tuple(row) for row in table.tolist()]
 
 
-def _in_memory(lines: list[str], extension: str, name: str) -> Mesh:
+def _in_memory(lines: list[str], extension: str) -> Mesh:
     content = "\n".join(lines) + "\n"
-    hint = " ".join(name.split())  # Drake stops the process where it has two lines
-    return Mesh(InMemoryMesh(mesh_file=MemoryFile(content, extension, hint)))
+    return Mesh(InMemoryMesh(mesh_file=MemoryFile(content, extension, f"made{extension}")))

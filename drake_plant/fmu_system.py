@@ -187,9 +187,5 @@ def _blocks(
 ) -> dict[str, PortVariables]:
     """Port name -> its variables; a port without variables is left out."""
     ports = chosen if isinstance(chosen, Mapping) else {usual: chosen}
-    if "" in ports:  # Drake ends the process for it
-        raise ContactSystemError(
-            f"{instance.name}: '' in {causality}s is no port name: give a text"
-        )
     found = {str(port): instance.select(names, causality) for port, names in ports.items()}
     return {port: block for port, block in found.items() if block.names}

@@ -71,10 +71,7 @@ def refuse_drift(scene: Scene, plan: Plan, t: float, points: Array, tolerance: f
     """Raise a SceneError where contact points (6 n) are too far from the plan's at time t."""
     off = np.sqrt(((points.reshape(-1, 2, 3) - plan.points(t)[0]) ** 2).sum(axis=2))
     size = max(scene.object.size, *(contact.finger.size for contact in scene.contacts))
-    worst = off.max()
-    if worst <= tolerance * size:
-        return
-    limit = tolerance * (size + scene.path_length(t))
+    worst, limit = off.max(), tolerance * (size + scene.path_length(t))
     if worst <= limit:
         return
     i, side = divmod(int(np.argmax(off)), 2)

@@ -107,7 +107,6 @@ REACH = 0.02  # m, that meshes of unbounded surfaces reach beyond the planned pa
 STRIP = 0.01  # m, that a mesh of too many triangles is fine beyond the planned patches
 TURNING_GAIN = 1e8  # N m/rad
 AGES = 1e9  # s
-TAKEN = ("", "object", "WorldModelInstance", "DefaultModelInstance")  # the last two by Drake
 OPACITY = 0.6  # of fingers, and of objects around them, so that contacts are seen through them
 
 
@@ -268,7 +267,7 @@ def model_names(scene: Scene) -> list[str]:
     own."""
     given, names = [contact.name for contact in scene.contacts], list[str]()
     for i, name in enumerate(given):
-        if name in TAKEN or name in names:
+        if name in ("", "object", *names):
             name = f"finger_{i}"
             while name in given or name in names:
                 name += "_"
@@ -336,7 +335,7 @@ def _add_object(
     if not isinstance(surface, Plane):
         lengths = (OBJECT_GAP, config.object_edge)
         domain, mesh = _mesh(surface, curve, (own, opposing), config, lengths)
-        shape = SphereShape(surface.size) if mesh is None else rigid_mesh(mesh, "object")
+        shape = SphereShape(surface.size) if mesh is None else rigid_mesh(mesh)
     properties = _material(config)
     if config.contact_model == "hydroelastic":
         AddRigidHydroelasticProperties(properties)
@@ -415,7 +414,7 @@ def _add_body(
     if domain is None:
         plant.RegisterVisualGeometry(body, at, shape, name, colour.rgba)
         return body
-    for k, (mesh, shade) in enumerate(painted(domain, name, colour)):
+    for k, (mesh, shade) in enumerate(painted(domain, colour)):
         plant.RegisterVisualGeometry(body, at, mesh, f"{name}_{k}", shade.rgba)
     return body
 

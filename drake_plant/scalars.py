@@ -11,7 +11,7 @@ import pydrake.math as drake_math
 from pydrake.symbolic import Expression, Formula, if_then_else
 
 from contact_system.theory import symbols as ca
-from contact_system.theory.lowering import no_operation, replay
+from contact_system.theory.lowering import replay
 
 
 def select(condition: Any, value: Any, otherwise: Any) -> Any:
@@ -32,7 +32,7 @@ def _truncated(a: Any) -> Any:
 
 
 _NAMES = "exp log sqrt sin cos tan asin acos atan atan2 sinh cosh tanh floor ceil".split()
-_OPERATIONS: dict[int, Callable[..., Any]] = {
+_OPERATIONS: dict[int, Callable[..., Any]] = {  # all that tables have
     **{getattr(ca, f"OP_{name.upper()}"): getattr(drake_math, name) for name in _NAMES},
     ca.OP_FABS: drake_math.abs,
     ca.OP_FMIN: drake_math.min,
@@ -71,11 +71,5 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
 
 def evaluate_scalars(function: ca.Function, arguments: Sequence[Any], T: type) -> np.ndarray:
     """The first output of a CasADi function of Drake's AutoDiffXd or Expression: (n,) of T."""
-
-    def apply(op: int, operands: list[Any]) -> Any:
-        if op not in _OPERATIONS:
-            raise no_operation(op, "AutoDiffXd or Expression")
-        return _OPERATIONS[op](*operands)
-
-    (values, *_) = replay(function, arguments, apply)
+    (values, *_) = replay(function, arguments, lambda op, x: _OPERATIONS[op](*x))
     return np.array([v if isinstance(v, T) else T(v) for v in values])

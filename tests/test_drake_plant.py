@@ -221,7 +221,6 @@ def test_d1_has_an_object_and_a_model_instance_for_every_finger():
         ("finger_1", ""),
         ("", "finger_0"),
         ("finger_1", "finger_1"),
-        ("WorldModelInstance", "DefaultModelInstance"),
         ("object", "world"),
     ],
 )
@@ -236,7 +235,7 @@ def test_every_finger_has_a_name_of_its_own_whatever_contacts_are_called(given):
     if given == ("", ""):
         assert names == ["finger_0", "finger_1"]
     assert [world.plant.GetModelInstanceByName(name) for name in names]
-    assert set(kept) == set(given) - {"", "object", "WorldModelInstance", "DefaultModelInstance"}
+    assert set(kept) == set(given) - {"", "object"}
     for k, body in enumerate(world.parts.finger_bodies):  # fingers do not collide
         world.place(body, RigidTransform([1.0, 0.0, 0.01 * k]))
     assert not world.results().num_point_pair_contacts()
