@@ -131,17 +131,13 @@ class ContactMonitor(LeafSystem):
             self.DeclareVectorOutputPort(name, size * n, calc, needs)
 
     def _CalcVector(self, name: str, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._Rows(context, name).ravel())
-
-    def _Rows(self, context: Context, name: str) -> Array:
-        """What the output port of this name says, a row for each contact."""
         measured = self.measured(context)
-        if name not in NOISY:
-            return measured[:, COLUMNS[name]]
-        states = measured[:, COLUMNS["state"]]
-        if self._noise.HasValue(context):
-            states = states + self._noise.Eval(context).reshape(-1, 9)
-        return states if name == "state" else self._Sliding(measured, states)
+        rows = measured[:, COLUMNS["state" if name in NOISY else name]]
+        if name in NOISY and self._noise.HasValue(context):
+            rows = rows + self._noise.Eval(context).reshape(-1, 9)
+        if name == "sliding":
+            rows = self._Sliding(measured, rows)
+        output.SetFromVector(rows.ravel())
 
     def _Sliding(self, measured: Array, states: Array) -> Array:
         """v_rel in O of what slides, (n, 3), 0 of what does not."""

@@ -293,26 +293,6 @@ def test_noise_on_what_is_measured_moves_no_finger_that_rolls():
     assert 0.01 < np.abs(measured - planned).reshape(3, 9)[:, [2, 3, 6, 7]].max() < 2.0
 
 
-@pytest.mark.parametrize(
-    ("push", "words"),
-    [
-        ({"on": "finger 9"}, "on = 'finger 9'.*: give one of finger 1, .*, object"),
-        ({"start": -1.0}, "start = -1.0: give a finite number not below 0"),
-        ({"stop": 0.1}, "stop = 0.1: give a time after start = 0.1"),
-        ({"force": [1.0, 2.0]}, r"force = \[1.0, 2.0\]: give three numbers"),
-        ({"force": [1.0, 2.0, "3"]}, "force = .*: give a list of numbers"),
-        ({"stopp": 0.1}, "key 'stopp' is unknown.*'stop'"),
-    ],
-)
-def test_a_wrong_push_is_named(push, words):
-    table = {"on": "object", "start": 0.1, "stop": 0.2, "force": [0.0, 0.0, 1.0], **push}
-    with pytest.raises(cs.SceneError, match=r"'D1', \[drake\]: pushes\[0\]: " + words):
-        StationConfig.from_scene(cs.load_scene("D1"), pushes=[table])
-    for wrong in ("often", [1.0], {"on": "object"}):  # the last is [drake.pushes] for [[ ]]
-        with pytest.raises(cs.SceneError, match=r"pushes(\[0\])? = .*: give a (list|table)"):
-            StationConfig.from_scene(cs.load_scene("D1"), pushes=wrong)
-
-
 def test_restarts_fall_together_with_steps_of_the_plant_whatever_floating_point_makes_of_both():
     """3 * 0.1 s lies after 300 * 1 ms; a restart a step late would make slip of 0.3 m/s."""
     scene = cs.load_scene("D1")
@@ -635,9 +615,24 @@ def test_yaml_and_the_drake_table_have_the_same_keys():
         assert yaml_load_typed(schema=StationConfig, data=yaml_dump_typed(one)) == one
 
 
+def one_push(**changes):
+    """A `[drake]` table with a push."""
+    push = {"on": "object", "start": 0.1, "stop": 0.2, "force": [0.0, 0.0, 1.0]}
+    return {"pushes": [push | changes]}
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
+        (one_push(on="finger 9"), "pushes.0.: on = 'finger 9'.*: give one of finger 1, .*, object"),
+        (one_push(start=-1.0), "pushes.0.: start = -1.0: give a finite number not below 0"),
+        (one_push(stop=0.1), "pushes.0.: stop = 0.1: give a time after start = 0.1"),
+        (one_push(force=[1.0, 2.0]), r"pushes.0.: force = \[1.0, 2.0\]: give three numbers"),
+        (one_push(force=[1.0, 2.0, "3"]), "pushes.0.: force = .*: give a list of numbers"),
+        (one_push(stopp=0.1), "pushes.0.: key 'stopp' is unknown.*'stop'"),
+        ({"pushes": "often"}, "pushes = .*: give a list"),
+        ({"pushes": [1.0]}, "pushes.0. = .*: give a table"),
+        ({"pushes": {"on": "object"}}, "pushes = .*: give a list"),  # [drake.pushes] for [[ ]]
         ({"frction": 0.3}, "key 'frction'.*'friction'"),
         ({"time_step": "1e-3"}, "time_step = '1e-3': give a finite number"),
         (
