@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from contact_system.errors import SurfaceError
-from contact_system.surfaces import Surface
 
 from .domains import Array, Domain, Triangles, no_normal
 
@@ -100,7 +99,11 @@ def contact_mesh(
             chosen = near.query(x.mean(axis=1))[0] < strip + reach
             chosen |= np.sum(n * np.roll(n, 1, axis=1), axis=2).min(axis=1) < FLAT
         if len(triangles) + 3 * np.count_nonzero(chosen) > LARGEST:
-            raise _too_many(domain.surface, gap, strip)
+            raise SurfaceError(
+                f"{domain.surface!r}: edges that open a gap of {gap:.3g} m within {strip:.3g} m of "
+                f"the planned contacts take more than {LARGEST} triangles; give a longer edge, or "
+                "a softer contact, whose patch is larger"
+            )
         q, triangles = refined(domain, q, triangles, chosen)
     points, normals = domain.place(q)
     folded = ~np.all(_facing(points, normals, triangles) > 0, axis=1)
@@ -167,11 +170,3 @@ def _facing(points: Array, normals: Array, triangles: Triangles) -> Array:
     """Twice the triangles' areas, projected along their vertices' normals: (m, 3), m^2."""
     a, b, c = (points[w] for w in triangles.T)
     return np.einsum("ti,tki->tk", np.cross(b - a, c - a), normals[triangles])
-
-
-def _too_many(surface: Surface, gap: float, strip: float) -> SurfaceError:
-    return SurfaceError(
-        f"{surface!r}: edges that open a gap of {gap:.3g} m within {strip:.3g} m of the planned "
-        f"contacts take more than {LARGEST} triangles; give a longer edge, "
-        "or a softer contact, whose patch is larger"
-    )

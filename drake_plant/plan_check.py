@@ -43,7 +43,8 @@ class StepWatch:
         self._start, self.next, self.left = t, t, STEPS
 
     def due(self, t: float) -> bool:
-        """Whether to compare the end of a step with the plan."""
+        """Whether to compare the end of this step with the plan."""
+        self.left -= 1
         if self.left and t < self.next:
             return False
         self.left = self.left or STEPS

@@ -64,9 +64,11 @@ class PlannerBase(_System):
         n = len(system.scene.contacts)
         if x0 is not None:
             self.DeclareContinuousState(_vector(x0, self.T))
-        for edge in system.edges:  # a step ends before it, and the next one begins at it
+        # Nothing happens, but no integrator steps across an edge: a step ends before it, and the
+        # next one begins at it.
+        for edge in system.edges:
             for time in (max(0.0, math.nextafter(edge, -math.inf)), edge):
-                self.DeclarePeriodicPublishEvent(ONCE, time, weakly(self._Stop))
+                self.DeclarePeriodicPublishEvent(ONCE, time, lambda context: None)
         turns = system.corners if x0 is not None else ()
         if len(system.held0) and x0 is not None and (turns or period is not None):
             self._held = self.DeclareDiscreteState(_vector(system.held0, self.T))
@@ -109,9 +111,6 @@ class PlannerBase(_System):
 
     def _Restart(self, context: Any, state: Any) -> None:
         raise TypeError("ContactPlanner restarts with T = float only; simulate that one")
-
-    def _Stop(self, context: Any) -> None:
-        """Nothing happens, but no integrator steps across it."""
 
     def _Turn(self, edge: float, context: Any, state: Any) -> None:
         """Contacts go on along their next legs, or without slip from a rest."""

@@ -228,7 +228,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         The last derivatives of a step tell whether its end is near a singular point.
         """
         clears, scratches = "x" in self.system.depends("clearance"), self._scratches
-        look = weakly(self._Look)
+        check_clearance, check_drift = weakly(self._CheckClearance), weakly(self._CheckDrift)
         # Numbers, 0 until they are set: Drake copies Contexts without Python's lock when it
         # evaluates batches, and a Python object in one would end the process.
         begun = BasicVector(np.zeros(2 + 9 * len(self.system.scene.contacts)))
@@ -239,18 +239,16 @@ class ContactPlanner(_Convertible, LeafSystem):
 
         def watch(context: Any) -> None:
             own = scratches.own
-            own.steps.left -= 1
-            near = clears and not own.clearance[0] > NEARBY
-            if near or not own.steps.left or context.get_time() >= own.steps.next:
-                look(context, near)
+            if clears and not own.clearance[0] > NEARBY:
+                check_clearance(context)
+            if own.steps.due(context.get_time()):
+                check_drift(context)
 
         self.DeclarePerStepPublishEvent(watch)
 
-    def _Look(self, context: Any, near: bool) -> None:
-        if near and not self._Numbers(context, "clearance")[0] > CLEARANCE:
+    def _CheckClearance(self, context: Any) -> None:
+        if not self._Numbers(context, "clearance")[0] > CLEARANCE:
             refuse_singularity(self.system, *self._scratches.own.given)
-        if self._scratches.own.steps.due(context.get_time()):
-            self._CheckDrift(context)
 
     def _Begin(self, context: Any) -> None:
         """From now on contacts are compared with the plan from the state that a Context has."""
