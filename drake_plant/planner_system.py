@@ -296,7 +296,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         own = self._scratches.own
         time, x = own.written
         time[0] = t = context.get_time()
-        x[:] = context.get_continuous_state_vector().CopyToVector()
+        x[:] = context.get_continuous_state_vector().value()
         after, before = own.same
         if not after < t < before:
             self._LoadRest(context, own, t, outputs)
