@@ -8,7 +8,7 @@ In a discrete plant (semi-implicit Euler, step h) a velocity at t_k moved the bo
 t_k, so the velocity to track is the backward difference of desired positions, and the acceleration
 to feed forward the second, ``A + h^2/12 A''``. The error lives in a frame that turns with the
 contact normal at Omega = n x n', of which the normals of two steps, ``n_before x n = h Omega``,
-tell the plan's part. docs/drake.md says what each term is worth.
+tell the plan's part. docs/drake-contact.md says what each term is worth.
 """
 
 from __future__ import annotations
