@@ -42,7 +42,7 @@ from .scratch import PerThread, Scratch
 NEARBY = 10 * CLEARANCE
 """Where the distance from a chart's singularity is watched more closely."""
 RESTING = 1e-3
-"""Of the greatest sigma."""
+"""Of the greatest sigma, up to which a contact is at rest, or almost."""
 Array = np.ndarray
 
 
@@ -325,15 +325,12 @@ class ContactPlanner(_Convertible, LeafSystem):
             refuse(self.system, *self._scratches.own.given)
         derivatives.SetFromVector(rate)
 
-    def _Moves(self, t: float) -> Array:
-        """Which contacts move, not at rest or almost: (n_contacts,)."""
-        return self.system.scene.speeds(t) > RESTING * self._fastest
-
     def _Restart(self, context: Any, state: Any) -> None:
         """Take over the measured state of the contacts that ask for it."""
         system, limit = self.system, self._distance
         rows = self._measured.Eval(context).reshape(-1, 9)
-        chosen = np.isfinite(rows).all(axis=1) & self._Moves(context.get_time())
+        moves = system.scene.speeds(context.get_time()) > RESTING * self._fastest
+        chosen = np.isfinite(rows).all(axis=1) & moves
         if not chosen.any():
             return
         planned, own = self._Numbers(context, "state").reshape(-1, 9), self._scratches.own
