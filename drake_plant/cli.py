@@ -137,11 +137,12 @@ def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable
             f"{SATURATED:.0%} of mu N. Held: friction never came to its limit, so that there was "
             "no slip to reject. Not kept: another finger came off, or the object falls."
         )
-        yield from _paper(result, reports)
     elif scene.disturbances:
         yield from _explained(
             "No disturbance is over by the end, so that no rejection is measured."
         )
+    if not scene.disturbances or any(r.disturbed for r in reports):
+        yield from _paper(result, reports)
     if result.config.pushes:
         yield from _pushes(result, opened)
 
