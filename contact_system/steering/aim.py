@@ -17,7 +17,6 @@ from ..planning.explanation import SIDES
 from ..scene import Contact, Scene
 from ..surfaces import Surface
 from ..surfaces.plane import FlatChart
-from ..theory.development import prefers_space
 from .goal import Goal
 from .shooting import Array, Follower
 
@@ -107,8 +106,6 @@ class Aim:
         self.start_off = float(np.linalg.norm(self.gap(np.array([x for x, _ in self.start]), pose)))
         self._followers: list[Follower] = []  # the engine points into them
         self._data = self._numbers(longest)
-        for side in (0, 1):
-            self._begin(side, *self.start[side])
 
     @property
     def fewest(self) -> int:
@@ -135,14 +132,6 @@ class Aim:
         if binding.steer(ctypes.addressof(data), rows // 2, count, *out) < 0:
             raise MemoryError
         return Paths(tried, off, ends, squares)
-
-    def _begin(self, side: int, x: Array, frame: Array) -> None:
-        data, body = self._data.body[side], self.bodies[side]
-        data.start[:] = [*x.tolist(), *frame[:, :2].T.ravel().tolist()]
-        if data.how and not prefers_space(body):
-            place = np.ravel(body.coordinates(x))
-            chart_frame = body.point_and_frame(*place[:, None])[1][0]
-            data.place[:] = [*place.tolist(), math.atan2(*(frame[:, 0] @ chart_frame[:, [1, 0]]))]
 
     def gap(self, points: Array, pose: Array) -> Array:
         """What contact points and pose are off the goal, in sizes and rad."""
@@ -233,8 +222,9 @@ class Aim:
         return data
 
     def _body(self, side: int) -> Steered:
-        body = self.bodies[side]
+        body, (x, frame) = self.bodies[side], self.start[side]
         data = Steered(wanted=side in self.sides)
+        data.start[:] = [*x.tolist(), *frame[:, :2].T.ravel().tolist()]
         data.goal[:] = self.goal[side][0].tolist()
         if body.great_circles:
             data.gauss, data.bend = body.size**-2, body.sign / body.size
@@ -242,6 +232,10 @@ class Aim:
             follower = Follower(body)
             self._followers.append(follower)
             data.how, data.shape = ctypes.addressof(follower.how), follower.shape
+            if not follower.space:
+                place = np.ravel(body.coordinates(x))
+                own = body.point_and_frame(*place[:, None])[1][0]
+                data.place[:] = [*place.tolist(), math.atan2(*(frame[:, 0] @ own[:, [1, 0]]))]
         return data
 
 

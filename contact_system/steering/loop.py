@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -74,8 +73,7 @@ def loop(scene: Scene, angle: float, *, contact: int = 0, seconds: float = 0.0) 
     route = reach(scene, goals, seconds=seconds)
     turned, enclosed = _turns(route.scene, contact)
     off = abs(math.remainder(turned + sum(enclosed), 2 * math.pi))
-    fields = {f.name: getattr(route, f.name) for f in dataclasses.fields(route)}
-    return Loop(**fields, angle=turned, enclosed=enclosed, gauss_bonnet=off)
+    return Loop(**vars(route), angle=turned, enclosed=enclosed, gauss_bonnet=off)
 
 
 def _turns(scene: Scene, contact: int) -> tuple[float, tuple[float, float]]:

@@ -10,7 +10,6 @@ import dataclasses
 import functools
 import itertools
 import math
-import numbers
 import random
 import time
 from collections.abc import Iterator, Sequence
@@ -24,7 +23,7 @@ from ..errors import ContactSystemError, SceneError
 from ..plan import plan
 from ..planning.explanation import SIDES
 from ..planning.motion import Buffer, Motion
-from ..scene import NO_CLAIMS, STILL, Contact, Leg, Scene, require_scene
+from ..scene import NO_CLAIMS, STILL, Leg, Scene, require_scene
 from ..scene.contact import ROLLING, all_of
 from .aim import LANES, MOST_LEGS, Aim
 from .four_rolls import four_rolls
@@ -83,9 +82,9 @@ def reach(
     require_scene(scene)
     goals = _goals(scene, goal)
     if legs is not None:
-        given, legs = legs, int(legs) if isinstance(legs, numbers.Integral) else 0
-        if isinstance(given, bool) or not 0 < legs <= MOST_LEGS:
-            raise SceneError(f"legs = {given!r}: give a number from 1 to {MOST_LEGS}")
+        if legs not in range(1, MOST_LEGS + 1):
+            raise SceneError(f"legs = {legs!r}: give a number from 1 to {MOST_LEGS}")
+        legs = int(legs)
     if longest is not None:
         longest = finite_number(longest, "longest", "above 0")
     seconds = finite_number(seconds, "seconds", "not below 0")
@@ -99,15 +98,12 @@ def reach(
         routes.append(route)
         texts.append(f"contact {i}: {tried}")
     residual = max(route.residual for route in routes if route is not None)
-    if len(routes) == 1 and routes[0]:  # this scene was made in the search
-        legged = routes[0].scene
-    else:
-        rest = (Leg(0.0, 0.0, scene.duration),)
-        contacts = [
-            dataclasses.replace(contact, legs=rest) if route is None else route.contact
-            for contact, route in zip(scene.contacts, routes)
-        ]
-        legged = scene.replace(contacts=contacts, profile=STILL, **NO_CLAIMS)
+    rest = (Leg(0.0, 0.0, scene.duration),)
+    contacts = [
+        dataclasses.replace(contact, legs=rest) if route is None else route.scene.contacts[0]
+        for contact, route in zip(scene.contacts, routes)
+    ]
+    legged = scene.replace(contacts=contacts, profile=STILL, **NO_CLAIMS)
     legs_by_contact = tuple(tuple(contact.legs) for contact in legged.contacts)
     whole = sum(leg.length or 0.0 for own in legs_by_contact for leg in own)
     return Route(legged, legs_by_contact, whole, residual, "; ".join(texts))
@@ -143,10 +139,6 @@ class _Route:
     @property
     def length(self) -> float:
         return _length(self.z)
-
-    @property
-    def contact(self) -> Contact:
-        return self.scene.contacts[0]
 
 
 def _length(z: Array) -> float:

@@ -226,7 +226,8 @@ class Search:
         within("STRIPS", self.spent, what, SurfaceError)
         count = int(min(max(math.ceil(limit.max() / self.follow.detail), 8), 400))
         exact = np.minimum(0.01 * width, ROUGH)
-        one, other = (self.rays(pair, side, limit, count, exact) for side in (phi, phi + width))
+        sides = (self.pairs.start(pair, side) for side in (phi, phi + width))
+        one, other = (self.follow(side, limit, exact, count) for side in sides)  # x and J
         across = other[:, :3] - one[:, :3]
         wide = np.sqrt(np.einsum("kij,kij->kj", across, across))
         arc = width * np.abs(one[:, 3] + other[:, 3]) / 2
@@ -244,10 +245,6 @@ class Search:
             pair, limit, phi, half = (w[coarse] for w in (pair, limit, phi, 0.5 * width))
             halves = np.tile(pair, 2), np.tile(limit, 2), np.concatenate([phi, phi + half])
             yield from self.sift(*halves, np.tile(half, 2), depth + 1)
-
-    def rays(self, which: Array, phi: Array, reach: Array, count: int, tolerance: Array) -> Array:
-        """x and J along geodesics at equal steps of the reach, (count, 4, n)."""
-        return self.follow(self.pairs.start(which, phi), reach, tolerance, count)
 
     def passing(self, away: Array, wide: Array, flat: Array, reach: Array) -> tuple[Array, Array]:
         """Where strips pass b while they are narrow or flat, and which strips must be split.

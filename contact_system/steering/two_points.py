@@ -8,6 +8,7 @@ covers all points that are not farther, and every candidate in it is aimed.
 from __future__ import annotations
 
 import math
+import numbers
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -142,7 +143,7 @@ def geodesics(
     pairs = Pairs(surface, a, b)
     if pairs.shape:
         raise SurfaceError(f"{surface!r}: give one pair of points; `geodesic` takes many")
-    if isinstance(most, bool) or not isinstance(most, int) or most < 1:
+    if not isinstance(most, numbers.Integral) or most < 1:
         raise SurfaceError(f"most = {most!r}: give a whole number from 1 on")
     if longest is not None:
         longest = finite_number(longest, "longest", "above 0", SurfaceError)
