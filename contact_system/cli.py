@@ -39,7 +39,6 @@ from .plan import METHODS, Plan, plan
 from .scene import Scene, bundled_scenes, load_scene, save_scene
 from .scene.files import fields_of, refuse_degrees
 from .steering import Goal, reach
-from .steering.goal import KEYS
 from .terminal import Progress, paragraph, table
 from .theory.gain import LAWS, Gain
 
@@ -208,18 +207,18 @@ def _reach(args: argparse.Namespace) -> int:
         with naming(f'--to "{text}"'):
             if goal is not None:
                 refuse_degrees(goal, scene.object, contact.finger)
+    stem = results_folder(args, scene) / f"{file_name(scene)}-reached"
     with Progress(2, "looking for legs") as progress:
         route = reach(scene, goals, seconds=args.seconds)
         progress.step("planning")
-        planned = plan(route.scene, args.tolerance)
+        planned = plan(route.scene.replace(name=stem.name), args.tolerance)
     print(f"{scene.title}: {route.length:.6g} m in all, {route.residual:.1e} off; {route.tried}")
     for i, legs in enumerate(route.legs):
         for k, leg in enumerate(legs):
-            where = f"contact {i}, leg {k + 1}"
+            where = f"{scene.contact_name(i)}, leg {k + 1}"
             print(f"{where}: direction {leg.direction:.9g} rad, length {leg.length:.9g} m")
-    stem = results_folder(args, scene) / f"{file_name(scene)}-reached"
     path = stem.with_name(stem.name + ".toml")
-    save_scene(route.scene.replace(name=stem.name), path)
+    save_scene(planned.scene, path)
     print(f"wrote {path}")
     _write(args, stem, planned)
     return 0
@@ -247,7 +246,7 @@ def _goal(text: str) -> Goal | None:
             table = tomllib.loads(f"goal = {{ {text} }}")["goal"]
         except tomllib.TOMLDecodeError as error:
             raise SceneError(f'{error}; write it like "object_at = [2, 1]"') from None
-        known_keys(table, KEYS)
+        known_keys(table, Goal.__dataclass_fields__)
         return Goal(**fields_of(table)) if table else None
 
 

@@ -11,8 +11,6 @@ from ..scene import Leg, Scene
 from ..scene.contact import pair
 from ..theory.profile import Numbers
 
-KEYS = ("object_at", "finger_at", "angle", "pose", "object_within", "finger_within")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:

@@ -96,7 +96,7 @@ def reach(
             continue
         route, tried = _Search(scene, i, own, longest).shortest(legs, share)
         routes.append(route)
-        texts.append(f"contact {i}: {tried}")
+        texts.append(f"{scene.contact_name(i)}: {tried}")
     residual = max(route.residual for route in routes if route is not None)
     rest = (Leg(0.0, 0.0, scene.duration),)
     contacts = [
