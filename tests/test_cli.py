@@ -176,11 +176,6 @@ def test_a_run_that_is_interrupted_says_so_in_one_line(monkeypatch, capsys):
     assert capsys.readouterr() == ("", "contact-system: interrupted\n")
 
 
-def test_a_program_without_a_screen_runs(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "stdout", None)
-    assert _run("run", "C1", "--no-plots", "--out", tmp_path) == 0
-
-
 # --- commands of other packages ----------------------------------------------------------------
 
 

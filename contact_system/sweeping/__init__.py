@@ -141,8 +141,7 @@ def sweep(
         chunk = 1
     chunk = 500 if chunk is None else chunk
     for name, value in (("chunk", chunk), ("ahead", ahead)):
-        whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-        if not whole or value < 1:
+        if not isinstance(value, numbers.Integral) or value < 1:
             raise ContactSystemError(f"{name} = {value!r}: give a whole number, at least 1")
     if not callable(evaluate):
         raise ContactSystemError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import numbers
 import os
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .. import __version__
 from ..errors import ContactSystemError
 from ..scene import Contact, Scene, scene_text
 from ..surfaces import Surface
@@ -48,18 +50,12 @@ def read(path: Path) -> Part | None:
 
 def _seal(path: Path, table: np.ndarray, failures: str) -> str:
     """Digest of a file's contents and name; the name is a digest of the inputs."""
-    import hashlib  # slow to import
-
     text = f"{path.name} {table.dtype.descr} {table.shape} {failures}"
     return hashlib.sha256(text.encode() + table.tobytes()).hexdigest()
 
 
 def digest(run: Run, first: int, items: tuple[Item, ...]) -> str:
     """Digest of everything that determines a chunk's results."""
-    import hashlib
-
-    from .. import __version__
-
     evaluate, tolerance, _ = run.args
     name = getattr(evaluate, "__qualname__", "")
     # a lambda has no name, and a method's result depends on its object
