@@ -227,10 +227,12 @@ class _Search:
             z, squares = path.z[:, 0], path.squares[:, :, 0]
             if not path.off[0] < NEAR:
                 return None
-            if np.linalg.norm(self._gap(z)) > REACHED:
+            scene, gap = self._planned(z)
+            if np.linalg.norm(gap) > REACHED:
                 z = self._corrected(z)
-            off = float(np.linalg.norm(self._gap(z)))
-            return _Route(z, self.alone(z), off, squares) if off <= REACHED else None
+                scene, gap = self._planned(z)
+            off = float(np.linalg.norm(gap))
+            return _Route(z, scene, off, squares) if off <= REACHED else None
         except ContactSystemError:  # such as a path through a pole
             pass
         return None
@@ -240,21 +242,22 @@ class _Search:
         n, longest = len(z) // 2, self.longest or math.inf
         unit, most = np.repeat([[1.0, self.aim.unit], [math.inf, longest]], n, axis=1)
         for _ in range(CORRECTIONS):
-            gap = self._gap(z)
+            _, gap = self._planned(z)
             if np.linalg.norm(gap) <= 0.1 * REACHED:
                 break
-            rows = [self._gap(z + h) - self._gap(z - h) for h in np.diag(DIFFERENCE * unit)]
+            both = [(z + h, z - h) for h in np.diag(DIFFERENCE * unit)]
+            rows = [self._planned(more)[1] - self._planned(less)[1] for more, less in both]
             slopes = np.transpose(rows) / (2 * DIFFERENCE)
             slopes[:, np.abs(z) >= most] = 0.0  # a leg of the greatest length stays so long
             z = np.clip(z - unit * np.linalg.lstsq(slopes, gap, rcond=1e-9)[0], -most, most)
         return z
 
-    def _gap(self, z: Array) -> Array:
-        """How far off the goal the plan of a path ends."""
+    def _planned(self, z: Array) -> tuple[Scene, Array]:
+        """The scene of a path, and what the end of its plan is off the goal."""
         scene = self.alone(z)
         motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
         results: Any = motion.evaluate(np.array([scene.duration]), ("points", "pose"))
-        return self.aim.gap(results["points"][0, 0], results["pose"][0, 0])
+        return scene, self.aim.gap(results["points"][0, 0], results["pose"][0, 0])
 
     # --- shorter ones ---------------------------------------------------------------------------
 
