@@ -183,15 +183,14 @@ class Aim:
             if region is None:
                 continue
             *at, widest = region
-            with naming(f"{self.name}: goal: {key}"):
-                centre = body.point(*body.canonical(*at))
+            centre = body.point(*at)  # which may be a pole: it needs no frame
             places = [("start", self.start[side][0])]
             if side in self.sides:
                 places.append(("goal", self.goal[side][0]))
             radius = 0.99 * widest
             for what, place in places:
                 away = math.dist(place, centre)
-                if away > widest * (1 + 1e-12):
+                if not away <= widest * (1 + 1e-12):
                     raise SceneError(
                         f"{self.name}: {key} = {region}: the {what} lies {away:.6g} m from that "
                         "point; move it, or widen the region"
