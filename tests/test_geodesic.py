@@ -164,6 +164,7 @@ def test_shapes():
     lines = cs.geodesic(ELLIPSOID, a, b)
     assert lines.length.shape == lines.direction.shape == lines.m12.shape == (2, 3)
     assert lines.tangent.shape == (2, 3, 3)
+    assert np.array_equal(cs.geodesic(ELLIPSOID, b[:, None], b).length == 0, np.eye(3))
     points = lines.points([[0.0, 0.1]])
     assert points.shape == (1, 2, 2, 3, 3)
     assert points[0, 0, 1, 2] == pytest.approx(ELLIPSOID.point(0.5, 0.3), abs=1e-15)
@@ -177,7 +178,6 @@ SHEETS = cs.Quadric(np.diag([1.0, -1.0, -1.0]))
 @pytest.mark.parametrize(
     "surface, a, b, says",
     [
-        (ELLIPSOID, (1.0, 0.3), (1.0, 0.3), "the same point"),
         (ELLIPSOID, (math.nan, 0.3), (1.0, 0.3), "a = .* finite"),
         (ELLIPSOID, (1.0, 0.3), (0.2, 0.2, 0.2), "b = .* is not on the surface"),
         (ELLIPSOID, np.ones((2, 2)), np.zeros((3, 2)), r"shapes \(2,\) and \(3,\)"),
@@ -194,6 +194,8 @@ def test_refusals(surface, a, b, says):
 def test_refusals_of_what_else_is_asked():
     with pytest.raises(cs.SurfaceError, match="most = 0"):
         cs.geodesics(ELLIPSOID, (1, 1), (2, 1), 0)
+    with pytest.raises(cs.SurfaceError, match="the same point"):
+        cs.geodesics(ELLIPSOID, (1, 1), (1, 1), 2)
     with pytest.raises(cs.SurfaceError, match="one pair"):
         cs.geodesics(ELLIPSOID, [(1, 1), (1, 2)], (2, 1), 2)
     with pytest.raises(cs.SurfaceError, match="lengths in m"):

@@ -99,13 +99,13 @@ def geodesic(surface: Surface, a: ArrayLike, b: ArrayLike) -> Geodesic:
     Returns
     -------
     Geodesic
-        If several are equally short, any one of them.
+        If several are equally short, any one of them; between equal points one of length 0.
 
     Raises
     ------
     SurfaceError
-        Points not on the surface, equal points, no geodesic between them, or a search over
-        ``limits.STRIPS``, as on a body that is flat as a leaf.
+        Points not on the surface, no geodesic between them, or a search over ``limits.STRIPS``, as
+        on a body that is flat as a leaf.
     """
     pairs = Pairs(surface, a, b)
     if surface.developable:
@@ -138,11 +138,15 @@ def geodesics(
     Raises
     ------
     SurfaceError
-        As for `geodesic`.
+        As for `geodesic`, and equal points.
     """
     pairs = Pairs(surface, a, b)
     if pairs.shape:
         raise SurfaceError(f"{surface!r}: give one pair of points; `geodesic` takes many")
+    if pairs.chord[0] <= MET * surface.size:
+        raise SurfaceError(
+            f"{surface!r}: a and b are the same point, {pairs.b[0].tolist()}; give two"
+        )
     if not isinstance(most, numbers.Integral) or most < 1:
         raise SurfaceError(f"most = {most!r}: give a whole number from 1 on")
     if longest is not None:
@@ -171,7 +175,9 @@ class Pairs:
             self.shape = np.broadcast_shapes(*(x.shape[:-1] for _, x in places))
         except ValueError:
             shapes = " and ".join(str(x.shape[:-1]) for _, x in places)
-            raise SurfaceError(f"{surface!r}: a and b are points of shapes {shapes}") from None
+            raise SurfaceError(
+                f"{surface!r}: a and b are points of shapes {shapes}; give equally many, or one"
+            ) from None
         (self.uv, self.x), (self.uv_b, self.b) = (
             tuple(
                 np.broadcast_to(w, (*self.shape, w.shape[-1])).reshape(-1, w.shape[-1]) for w in p
@@ -179,12 +185,6 @@ class Pairs:
             for p in places
         )
         self.chord = np.linalg.norm(self.b - self.x, axis=1)
-        same = np.flatnonzero(self.chord <= MET * surface.size)
-        if len(same):
-            raise SurfaceError(
-                f"{surface!r}: a and b are the same point, {self.x[same[0]].tolist()}; a geodesic "
-                "needs two"
-            )
         if self.uv.shape[-1] == 3:
             self.uv = np.stack(surface.coordinates(self.uv), axis=-1)
         frame, self.lost = self._frames(self.uv)
