@@ -230,12 +230,13 @@ class Explorer:
         scene = adjusted(self.base, dict(self.moved))
         if not self.goals:
             return scene, scene.description
-        left = " Disturbances are left out." if scene.disturbances else ""
         goals = [self.goals.get(i) for i in range(len(scene.contacts))]
+        left = " Fingers without a goal rest." if None in goals else ""
+        left += " Disturbances are left out." if scene.disturbances else ""
         route = reach(scene.replace(disturbances=()), goals)
         legs = sum(leg.length != 0 for own in route.legs for leg in own)
         text = f"{legs} leg{'s' * (legs > 1)}, {route.length:.3g} m in all, to the goal."
-        return route.scene, f"{text} Fingers without one rest.{left}"
+        return route.scene, text + left
 
     def _plan_again(self) -> bool:
         """Plan and draw the requested scene; if it is refused, say why and keep the picture."""
