@@ -38,8 +38,8 @@ COARSE = 1e-8
 """Error of a step, as a fraction of the size, in a search of many paths."""
 NEAR, NEARER = 1e-4, 1e-7
 """Errors before the last, quadratically convergent step in a search of many paths, and of one."""
-STARTS = 128
-"""Starts for each number of legs."""
+STARTS = (128, 1024)
+"""Starts for each number of legs: so many at first, and in all if none of them arrives."""
 CORRECTIONS, DIFFERENCE = 8, 1e-6
 """Most corrections of a path for slip, and the change of unknowns for derivatives, in units."""
 SAMPLES = 201
@@ -183,18 +183,21 @@ class _Search:
         if self.aim.start_off <= REACHED:  # it stays
             z = np.zeros(2 * (legs or 1))
             return _Route(z, self.alone(z), self.aim.start_off, np.eye(0)), "it starts at its goal"
-        until, tried = time.perf_counter() + seconds, []
-        for n in range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,):
-            for batch in range(STARTS // LANES):
+        until = time.perf_counter() + seconds
+        counts = range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,)
+        for first, last in itertools.pairwise((0, *STARTS)):
+            batches = range(first // LANES, last // LANES)
+            for n, batch in itertools.product(counts, batches):
                 for route in filter(self._stays, self._routes(n, batch)):
                     shorter = None if legs else self._four_rolls(route.length)
                     how = f"{n} leg{'s' * (n > 1)}, {(batch + 1) * LANES} starts"
                     return self._shorter(shorter or route, legs, until), how
-            tried.append(f"{n} leg{'s' * (n > 1)} from {STARTS} starts")
-        explicit = self._four_rolls(math.inf) if legs in (None, MOST_LEGS) else None
-        if explicit is None:
-            raise SceneError(self._refusal(tried))
-        return self._shorter(explicit, legs, until), f"{', '.join(tried)}, four rolls"
+            explicit = self._four_rolls(math.inf) if legs in (None, MOST_LEGS) else None
+            if explicit is not None:
+                return self._shorter(explicit, legs, until), f"four rolls, after {last} starts"
+            if counts[0] < self.aim.fewest or self._alike():
+                break
+        raise SceneError(self._refusal(counts, last))
 
     def _four_rolls(self, below: float) -> _Route | None:
         """Hammersley's route of a sphere on a plane, if it is shorter than ``below``, m along s."""
@@ -267,7 +270,7 @@ class _Search:
             return route
         best = self._shortened(route, until)
         counts = range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,)
-        for batch in itertools.count(STARTS // LANES):
+        for batch in itertools.count(STARTS[0] // LANES):
             for route in itertools.chain(*(self._routes(n, batch) for n in counts)):
                 if time.perf_counter() >= until:
                     return best
@@ -305,7 +308,7 @@ class _Search:
             for side, centre, _, widest in self.aim.regions
         )
 
-    def _refusal(self, tried: Sequence[str]) -> str:
+    def _refusal(self, counts: Sequence[int], starts: int) -> str:
         why = "no path was found that arrives there"
         if self.nearest < NEAR and self.aim.contact.object_velocity != ROLLING:
             why += (
@@ -318,7 +321,7 @@ class _Search:
             )
         elif self.aim.is_pose:
             why += "; do the bodies touch in that pose, from outside?"
-        elif tried[0][0] < str(self.aim.fewest):
+        elif counts[0] < self.aim.fewest:
             why += f": this goal mostly takes {self.aim.fewest} legs at least"
         limits = [f"within {SIDES[r.side]}_within {r.widest:g} m" for r in self.aim.regions]
         if self.longest is not None:
@@ -326,7 +329,8 @@ class _Search:
         if limits:
             why += f" {' and '.join(limits)}; widen that, or leave parts of the goal out"
         return (
-            f"{self.aim.name}: {why}; tried {', '.join(tried)}, of which the nearest ends "
+            f"{self.aim.name}: {why}; tried {', '.join(map(str, counts))} "
+            f"leg{'s' * (counts[-1] > 1)} from {starts} starts, of which the nearest ends "
             f"{self.nearest:.2g} (in sizes, rad) off"
         )
 
