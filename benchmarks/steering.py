@@ -39,7 +39,8 @@ def _place(rng: np.random.Generator, surface: cs.Surface) -> tuple[float, float]
     return float(u), float(v)
 
 
-def _drawn(rng: np.random.Generator, finger: cs.Surface, obj: cs.Surface) -> dict:
+def drawn(rng: np.random.Generator, finger: cs.Surface, obj: cs.Surface) -> dict:
+    """Places and an angle, of a start or a goal."""
     places = {"object_at": _place(rng, obj), "finger_at": _place(rng, finger)}
     return {**places, "angle": float(rng.uniform(-3.0, 3.0))}
 
@@ -49,11 +50,11 @@ def goals(full: bool) -> Iterator[Bar]:
     for name, (finger, obj, limit) in PAIRS.items():
         rng, spent, off, legs, missed = np.random.default_rng(1), [], 0.0, 0, 0
         for _ in range(count := 1000 if full else 100):
-            contact = cs.Contact(finger, **_drawn(rng, finger, obj))
+            contact = cs.Contact(finger, **drawn(rng, finger, obj))
             scene = cs.Scene(
                 object=obj, contacts=[contact], profile=cs.Profile([0.1]), duration=3.0
             )
-            goal = cs.Goal(**_drawn(rng, finger, obj))
+            goal = cs.Goal(**drawn(rng, finger, obj))
             begin = time.process_time()
             try:
                 route = cs.reach(scene, goal)

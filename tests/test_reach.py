@@ -11,16 +11,10 @@ import numpy as np
 import pytest
 
 import contact_system as cs
-from benchmarks.steering import PAIRS, ROUND, SMALL
+from benchmarks.steering import PAIRS, ROUND, SMALL, drawn
 from contact_system.cli import main
 
 ELLIPSOID = SMALL, ROUND
-
-
-def place(rng: np.random.Generator, surface: cs.Surface) -> tuple[float, float]:
-    if isinstance(surface, cs.Plane):
-        return tuple(rng.uniform(-0.3, 0.3, 2))
-    return rng.uniform(0.3, 2.8), rng.uniform(-1.4, 1.4)
 
 
 def scene(finger, obj, **contact) -> cs.Scene:
@@ -34,11 +28,8 @@ def test_random_goals_of_places_and_angle_are_reached(name):
     finger, obj, _ = PAIRS[name]
     rng = np.random.default_rng(3)
     for _ in range(4):
-        at = {"object_at": place(rng, obj), "finger_at": place(rng, finger)}
-        goal = cs.Goal(
-            object_at=place(rng, obj), finger_at=place(rng, finger), angle=rng.uniform(-3, 3)
-        )
-        route = cs.reach(scene(finger, obj, **at, angle=rng.uniform(-3, 3)), goal)
+        goal = cs.Goal(**drawn(rng, finger, obj))
+        route = cs.reach(scene(finger, obj, **drawn(rng, finger, obj)), goal)
         assert len(route.legs[0]) <= 4 and route.residual <= 1e-12
         end = cs.plan(route.scene, 1e-14).points(3.0)[0, 0]
         assert end[0] == pytest.approx(finger.point(*goal.finger_at), abs=1e-12 * finger.size)
