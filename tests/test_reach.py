@@ -53,6 +53,14 @@ def test_a_pose_that_can_be_rolled_to_is_a_goal(bodies):
     assert cs.reach(start, goal).length == 0.0 and goal == dataclasses.replace(goal) != other
 
 
+def test_a_pole_is_a_goal_if_no_angle_is():
+    route = cs.reach(
+        scene(*ELLIPSOID), cs.Goal(finger_at=(0.0, 0.0), object_at=(0.0, 0.5 * math.pi))
+    )
+    found = cs.plan(route.scene).points(3.0)[0, 0]
+    assert found == pytest.approx(np.array([SMALL.point(0, 0), ROUND.point(0, 0.5 * math.pi)]))
+
+
 @pytest.mark.parametrize("legs", [2, 4])
 def test_more_legs_than_needed_make_up_for_slip(legs):
     goal = cs.Goal(object_at=(2.0, 1.0))
@@ -174,7 +182,7 @@ REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
     "no goal": ("goals given: 0; contacts: 1", lambda: cs.reach(scene(SMALL, ROUND), [])),
     "a table for a goal": ("give a Goal", lambda: cs.reach(scene(SMALL, ROUND), WHOLE)),
     "rests alone": ("every goal is None", lambda: cs.reach(scene(SMALL, ROUND), [None])),
-    "a pole": ("pole", _try({"finger_at": (0.0, 0.0)})),
+    "an angle at a pole": ("pole", _try({**WHOLE, "finger_at": (0.0, 0.0)})),
     "equal spheres": ("same Gaussian", _try(WHOLE, obj=cs.Sphere(0.04))),
     "a sphere in its own bowl": ("same Gaussian", _try(WHOLE, obj=cs.Sphere(0.04, inside=True))),
     "mirror images": ("no path", _try(TWO_PLACES, TWIN, TWIN, MIRRORED)),

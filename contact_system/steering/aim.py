@@ -12,7 +12,7 @@ import numpy as np
 from ..checks import naming
 from ..engine import binding
 from ..engine.binding import Steer, Steered, address
-from ..errors import SceneError
+from ..errors import ChartSingularity, SceneError
 from ..planning.explanation import SIDES
 from ..scene import Contact, Scene
 from ..surfaces import Surface
@@ -153,7 +153,12 @@ class Aim:
             if wanted is not None:
                 sides.append(side)
                 with naming(f"{self.name}: goal: {SIDES[side]}_at"):
-                    regular = body.canonical(*wanted)
+                    try:
+                        regular = body.canonical(*wanted)
+                    except ChartSingularity:
+                        if goal.angle is not None:
+                            raise
+                        regular = wanted  # a pole is a place, but psi has no value there
                 # on a double cover psi depends on the branch
                 wanted = wanted if body.double_cover else regular
             both = np.transpose([at, at if wanted is None else wanted])

@@ -19,7 +19,8 @@ class Goal:
     Parameters
     ----------
     object_at, finger_at : (float, float), optional
-        Chart coordinates (u, v) of the contact on the object and on the finger.
+        Chart coordinates (u, v) of the contact on the object and on the finger; without an angle
+        a pole is a goal, too.
     angle : float, optional
         psi at the goal [rad]; only with both places.
     pose : (4, 4), optional
