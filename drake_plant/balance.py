@@ -17,11 +17,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
-from pydrake.solvers import (
-    ClarabelSolver,
-    LorentzConeConstraint,
-    MathematicalProgram,
-)
+from pydrake.multibody.tree import SpatialInertia
+from pydrake.solvers import ClarabelSolver, LorentzConeConstraint, MathematicalProgram
 
 from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
@@ -144,37 +141,38 @@ def friction_used(forces: ArrayLike, normals: ArrayLike, friction: ArrayLike) ->
 
 
 def needed_wrench(
-    mass: float,
-    inertia: ArrayLike,
+    inertia: SpatialInertia,
     gravity: ArrayLike,
     R_WO: Array,
     w_WO: ArrayLike,
     alpha_WO: ArrayLike,
     a_WO: ArrayLike,
 ) -> tuple[Array, Array]:
-    """Force and torque, in O, that move an object as planned against gravity.
+    """Force, and torque about the origin, in O, that move an object as planned against gravity.
 
     Parameters
     ----------
-    mass : float
-    inertia : (3, 3)
-        In O, about the mass centre, kg m^2.
+    inertia : SpatialInertia
+        In O, about its origin.
     gravity : (3,)
         In the world, m/s^2.
     R_WO : (m, 3, 3)
     w_WO, alpha_WO, a_WO : (m, 3) or (3,)
-        Angular velocity and acceleration and the mass centre's acceleration, in the world.
+        Angular velocity and acceleration and the origin's acceleration, in the world.
 
     Returns
     -------
     (m, 3), (m, 3)
-        N, and N m about the mass centre.
+        N and N m.
     """
     w, alpha, a = (
         np.einsum("mji,...mj->...mi", R_WO, np.broadcast_to(x, (len(R_WO), 3)))
         for x in (w_WO, alpha_WO, np.subtract(a_WO, gravity))
     )
-    return mass * a, alpha @ inertia + np.cross(w, w @ inertia)
+    mass, center = inertia.get_mass(), inertia.get_com()
+    about = inertia.CalcRotationalInertia().CopyToFullMatrix3()
+    force = mass * (a + np.cross(alpha, center) + np.cross(w, np.cross(w, center)))
+    return force, alpha @ about + np.cross(w, w @ about) + mass * np.cross(center, a)
 
 
 def way_to(goal: RigidTransform, X: RigidTransform) -> Array:

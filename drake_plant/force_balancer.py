@@ -59,10 +59,7 @@ class ForceBalancer(LeafSystem):
         n = len(scene_plant.finger_bodies)
         self._least, self._index = least, int(body.index())
         self._config: StationConfig = config
-        inertia = body.default_spatial_inertia()
-        self._center = np.array(inertia.get_com())
-        central = inertia.Shift(self._center).CalcRotationalInertia().CopyToFullMatrix3()
-        self._body = inertia.get_mass(), central
+        self._inertia = body.default_spatial_inertia()
         self._gravity = gravity_on(plant, body)
         self.DeclareAbstractParameter(Value(plant.GetDefaultFloatingBaseBodyPose(body)))
         self._points = self.DeclareVectorInputPort("contact_point", 6 * n)
@@ -84,10 +81,8 @@ class ForceBalancer(LeafSystem):
         V_WO = self._velocities.Eval(context)[self._index].get_coeffs()
         alpha, a = np.split(self._Acceleration(context, X_WO, V_WO), 2)
         R_WO, w, config = X_WO.rotation().matrix(), V_WO[:3], self._config
-        arm = R_WO @ self._center
-        a += np.cross(alpha, arm) + np.cross(w, np.cross(w, arm))  # of the mass centre
-        force, torque = needed_wrench(*self._body, self._gravity, R_WO[None], w, alpha, a)
-        points = self._points.Eval(context).reshape(1, -1, 6)[..., 3:] - self._center
+        force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], w, alpha, a)
+        points = self._points.Eval(context).reshape(1, -1, 6)[..., 3:]
         normals = -self._normals.Eval(context).reshape(1, -1, 3)
         forces = balancing_forces(
             *(points, normals, config.friction, force, torque),

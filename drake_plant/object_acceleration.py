@@ -11,6 +11,7 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from contact_system import SceneError
 
+from .balance import needed_wrench
 from .lifetimes import NO_DICTIONARY, weakly
 from .plant import ScenePlant, declare_plant_inputs, gravity_on
 
@@ -59,9 +60,7 @@ class ObjectAcceleration(LeafSystem):
                 f"{scene_plant.scene.title}: time_step = 0: the acceleration of an object {why}"
             )
         self._index, self._count = int(body.index()), plant.num_bodies()
-        inertia = body.default_spatial_inertia()
-        self._mass, self._center = inertia.get_mass(), inertia.get_com()
-        self._inertia = inertia.Shift(self._center).CalcRotationalInertia().CopyToFullMatrix3()
+        self._inertia = body.default_spatial_inertia()
         self._gravity = gravity_on(plant, body)
         self._forces = self.DeclareVectorInputPort("generalized_contact_forces", size)
         self._poses, self._velocities = declare_plant_inputs(
@@ -79,12 +78,8 @@ class ObjectAcceleration(LeafSystem):
     def _Acceleration(self, context: Context) -> SpatialAcceleration:
         X_WO = self._poses.Eval(context)[self._index]
         w = self._velocities.Eval(context)[self._index].rotational()
-        R_WO = X_WO.rotation().matrix()
-        arm = R_WO @ self._center
-        forces = self._forces.Eval(context)  # torque about the origin, force
-        force = forces[3:] + self._mass * self._gravity
-        torque = forces[:3] - np.cross(arm, forces[3:])
-        inertia = R_WO @ self._inertia @ R_WO.T
-        alpha = np.linalg.solve(inertia, torque - np.cross(w, inertia @ w))
-        a = force / self._mass - np.cross(alpha, arm) - np.cross(w, np.cross(w, arm))
-        return SpatialAcceleration(alpha, a)
+        R_WO, rest = X_WO.rotation().matrix(), np.zeros(3)
+        force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], w, rest, rest)
+        acts = self._forces.Eval(context).reshape(2, 3) @ R_WO - np.vstack([torque, force])
+        found = np.linalg.solve(self._inertia.CopyToFullMatrix6(), acts.ravel())
+        return SpatialAcceleration(*found.reshape(2, 3) @ R_WO.T)

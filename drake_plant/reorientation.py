@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
@@ -312,7 +313,7 @@ def _planned(scene: Scene, config: StationConfig, path: Any, least: float) -> Re
     )
     inertia = object_inertia(scene, config)
     down = np.array([0, 0, -config.gravity])
-    wrench = needed_wrench(config.object_mass, inertia, down, R, V[:, :3], A[:, :3], A[:, 3:])
+    wrench = needed_wrench(inertia, down, R, V[:, :3], A[:, :3], A[:, 3:])
     wanted = [np.einsum("mij,mj->mi", R, part) for part in wrench]
     mu, margin = config.friction, config.friction_share
     forces = balancing_forces(arms, normals, mu, *wanted, margin=margin, least=least, t=t)
@@ -370,14 +371,13 @@ def _refuse_pads(scene: Scene, hand: Hand, t: Array, points: Array) -> None:
             )
 
 
-def object_inertia(scene: Scene, config: StationConfig) -> Array:
-    """About the origin, of the homogeneous solid that a plant has as object, (3, 3), kg m^2."""
+def object_inertia(scene: Scene, config: StationConfig) -> SpatialInertia:
+    """Of the homogeneous solid that a plant has as object."""
     if isinstance(scene.object, (Sphere, Ellipsoid)):
-        inertia = solid_inertia("object", scene.object, config.object_mass)
-    else:  # a mesh tells, which takes half a second
-        parts = AddScenePlant(DiagramBuilder(), scene, config)
-        inertia = parts.object_body.default_spatial_inertia()
-    return inertia.CalcRotationalInertia().CopyToFullMatrix3()
+        return solid_inertia("object", scene.object, config.object_mass)
+    # a mesh tells, which takes half a second
+    parts = AddScenePlant(DiagramBuilder(), scene, config)
+    return parts.object_body.default_spatial_inertia()
 
 
 def _torques(
