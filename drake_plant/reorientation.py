@@ -183,7 +183,7 @@ def plan_reorientation(
     """
     require_config(hand, Hand, "hand")
     if config is None:
-        config = StationConfig.from_scene(scene)
+        config = StationConfig.from_scene(scene, hand=hand)
     require_config(config, StationConfig)
     if path is not None and not hasattr(path, "GetAcceleration"):
         raise SceneError(f"{scene.title}: path = {path!r:.80}: give a PiecewisePose")
