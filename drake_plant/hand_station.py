@@ -22,7 +22,7 @@ from .hand_kinematics import moving_joints
 from .plant import AddScenePlant, ScenePlant
 from .recording import Recording
 from .reorientation import Reorientation
-from .simulation import LOGGED, Asked, Log, SimulationResult, measurements
+from .simulation import LOGGED, Asked, Log, SimulationResult, _film_path, measurements
 from .station import add_pushes, wire
 
 Array = NDArray[np.float64]
@@ -81,9 +81,17 @@ def simulate_hand(
     duration: float | None = None,
     progress: Callable[[float], None] | None = None,
     film: Recording | None = None,
-    recording: Path | None = None,
+    recording: str | Path | None = None,
 ) -> HandResult:
-    """Simulate a plan from its start: see :func:`simulate`; film, which is written to recording."""
+    """Simulate a plan from its start: see :func:`simulate`.
+
+    film : a Recording for the caller to save; ``recording`` alone writes a film there
+    """
+    require_config(plan, Reorientation, "plan")
+    duration = plan.scene.duration if duration is None else duration
+    finite_number(duration, f"{plan.scene.title}: duration", "above 0")
+    if recording is not None:
+        recording, film = _film_path(plan.scene, recording), film or Recording()
     begun = time.perf_counter()
     station, parts = BuildHandStation(plan, None if film is None else film.Add)
     simulator = Simulator(station)
@@ -96,8 +104,6 @@ def simulate_hand(
         "torque": lambda: torques.Eval(own),
     }
     log = Log(station, root, parts, asked, LOGGED)
-    duration = plan.scene.duration if duration is None else duration
-    finite_number(duration, f"{plan.scene.title}: duration", "above 0")
     ended = log.follow(simulator, duration, progress)
     t, said = log.read()
     result = HandResult(

@@ -14,7 +14,14 @@ from pydrake.trajectories import PiecewisePose
 
 import contact_system as cs
 from contact_system.cli import main
-from drake_plant import Hand, StationConfig, hand_report, plan_reorientation, simulate
+from drake_plant import (
+    Hand,
+    StationConfig,
+    hand_report,
+    plan_reorientation,
+    simulate,
+    simulate_hand,
+)
 from drake_plant.hand import own_hand
 from drake_plant.measures import object_report
 
@@ -46,13 +53,15 @@ def test_an_object_by_its_equation_is_carried_as_the_ellipsoid_that_it_is():
     np.testing.assert_allclose(same.forces, made(scene).forces, rtol=0, atol=1e-7)
 
 
-def test_fingers_of_six_joints_follow_routes_of_reach():
+def test_fingers_of_six_joints_follow_routes_of_reach(tmp_path):
     scene = cs.load_scene("H5")
     table = {key: value for key, value in scene.drake.items() if key != "hand"}
     plan = plan_reorientation(Hand(joints=6), scene.replace(drake=table))
     assert plan.slip.max() < 1e-8 and made().route is None
     points = cs.plan(plan.route).points(plan.t - plan.t[0])
     np.testing.assert_allclose(plan.points, points, atol=1e-11)
+    simulate_hand(plan, 0.01, recording=tmp_path / "film.html")
+    assert (tmp_path / "film.html").exists()
 
 
 @pytest.mark.parametrize(
