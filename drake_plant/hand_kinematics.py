@@ -27,7 +27,6 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     JacobianWrtVariable,
     Joint,
-    JointActuatorIndex,
     MultibodyForces,
     PrismaticJoint,
     RigidBody,
@@ -165,8 +164,7 @@ class Chains:
                 "fixed joint"
             )
         self.effort = np.full(size, np.inf)
-        for k in range(plant.num_actuators()):
-            actuator = plant.get_joint_actuator(JointActuatorIndex(k))
+        for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
             self.effort[actuator.joint().velocity_start()] = actuator.effort_limit()
         self.joints: list[list[int]] = [[] for _ in self.tips]
         for k, joint in enumerate(moving):
@@ -270,11 +268,12 @@ class Chains:
         for k in range(STARTS):  # SNOPT may end on the way
             guess = self.middle + (k > 0) * self.unit * random.uniform(-1, 1, len(q))
             found = SnoptSolver().Solve(program, guess).GetSolution(q)
-            if self._missed(found, centres).max() < 10 * REACHED:
+            left = self._missed(found, centres)
+            if left.max() < 10 * REACHED:
                 return found
-            tries.append(found)
-        found = min(tries, key=lambda q: self._missed(q, centres).max())
-        left = self._missed(found, centres)
+            tries.append((found, left))
+        found, left = min(tries, key=lambda each: each[1].max())
+        self.put(found)
         i = int(np.argmax(left))
         point, tip = (np.round(x, 4).tolist() for x in (points[i], self.pose(i).translation()))
         raise SceneError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -79,7 +79,7 @@ class ShortestPath:
         return self._along(t)[2] * np.append(self._angle * self._axis, self._way)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Reorientation:
     """How a hand turns an object: of :func:`plan_reorientation`. m times, n fingers; SI units.
 
@@ -133,7 +133,7 @@ class Reorientation:
     cones: Array
     torques: Array
     joints: list[str]
-    chains: Chains = field(repr=False, compare=False)
+    chains: Chains
 
 
 def goal_of(config: StationConfig) -> RigidTransform:
