@@ -203,11 +203,12 @@ def plan_reorientation(
                 f"path: it lasts from {path.start_time():g} to {path.end_time():g} s, the scene "
                 f"from 0 to duration = {scene.duration:g} s; give a path within"
             )
-        plan = _planned(scene, config, path, config.normal_force)
+        inertia = object_inertia(scene, config)
+        plan = _planned(scene, config, path, inertia, config.normal_force)
         mean = float(np.mean(np.einsum("mij,mij->mi", plan.forces, plan.normals)))
         if mean > (1 + DEEPER) * config.normal_force:
             deeper = dataclasses.replace(config, normal_force=mean)
-            plan = _planned(scene, deeper, path, config.normal_force)
+            plan = _planned(scene, deeper, path, inertia, config.normal_force)
         return plan
 
 
@@ -289,7 +290,9 @@ def _starting(scene: Scene, states: Any, **changes: Any) -> Scene:
     return scene.replace(contacts=contacts)
 
 
-def _planned(scene: Scene, config: StationConfig, path: Any, least: float) -> Reorientation:
+def _planned(
+    scene: Scene, config: StationConfig, path: Any, inertia: SpatialInertia, least: float
+) -> Reorientation:
     """The plan whose contacts are as deep as the configuration's normal force presses them, and
     press with the least at least, N."""
     assert config.hand is not None
@@ -311,7 +314,6 @@ def _planned(scene: Scene, config: StationConfig, path: Any, least: float) -> Re
     normals, arms = (
         np.einsum("mij,mnj->mni", R, part) for part in (-found[..., NORMAL], points[:, :, 1])
     )
-    inertia = object_inertia(scene, config)
     down = np.array([0, 0, -config.gravity])
     wrench = needed_wrench(inertia, down, R, V[:, :3], A[:, :3], A[:, 3:])
     wanted = [np.einsum("mij,mj->mi", R, part) for part in wrench]
