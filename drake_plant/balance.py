@@ -22,6 +22,7 @@ from pydrake.solvers import ClarabelSolver, LorentzConeConstraint, MathematicalP
 
 from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
+from contact_system.checks import shaped_array
 
 from .config import StationConfig
 
@@ -78,21 +79,17 @@ def balancing_forces(
         No such forces exist, with the first time and the wrench that is left there; arrays of
         other shapes, numbers that are not finite, normals that are no unit vectors.
     """
-    points, normals = np.asarray(points, float), np.asarray(normals, float)
-    if points.ndim != 3 or points.shape != normals.shape:
-        raise SceneError(
-            f"points have shape {points.shape}, normals {normals.shape}; give both as (times, "
-            "contacts, 3)"
-        )
-    parts = [np.asarray(part, float) for part in (force, torque)]
-    if any(part.shape != (len(points), 3) for part in parts):
-        raise SceneError(
-            f"force has shape {parts[0].shape}, torque {parts[1].shape}; give both as "
-            f"({len(points)}, 3), a row for each time"
-        )
+    points = shaped_array(points, "points")
+    if points.ndim != 3 or points.shape[2] != 3:
+        raise SceneError(f"points has shape {points.shape}; give (times, contacts, 3)")
+    normals, (times, count, _) = shaped_array(normals, "normals", points.shape), points.shape
+    force, torque = (
+        shaped_array(given, name, (times, 3))
+        for name, given in (("force", force), ("torque", torque))
+    )
     if not (np.abs(np.linalg.norm(normals, axis=-1) - 1) < UNIT).all():
         raise SceneError("normals: give vectors of length 1")
-    wanted, count = np.hstack(parts), points.shape[1]
+    wanted = np.hstack([force, torque])
     # Sizes of about 1: about the contacts' middle, over their distance from it and over the forces.
     middle = points.mean(axis=1)
     wanted[:, 3:] -= np.cross(middle, wanted[:, :3])
