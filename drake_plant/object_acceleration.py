@@ -51,13 +51,11 @@ class ObjectAcceleration(LeafSystem):
         plant, body = scene_plant.plant, scene_plant.object_body
         self._free = body.is_floating_base_body()
         size = plant.num_velocities(body.model_instance())
-        alone = size == 6 * self._free
-        if not alone or not (self._free or plant.IsAnchored(body)):
-            why = "on a joint is not known beforehand; give a time step, such as 0.001 s"
-            if self._free:
-                why = "among others is not told; give the object a model instance of its own"
+        if size != 6 * self._free or not (self._free or plant.IsAnchored(body)):
             raise SceneError(
-                f"{scene_plant.scene.title}: time_step = 0: the acceleration of an object {why}"
+                f"{scene_plant.scene.title}: time_step = 0: the object is on a joint, or with "
+                "others in its model instance, so that its acceleration is not known beforehand; "
+                "give it a model instance of its own, or a time step, such as 0.001 s"
             )
         self._index, self._count = int(body.index()), plant.num_bodies()
         self._inertia = body.default_spatial_inertia()
