@@ -32,34 +32,29 @@ Triangles = NDArray[np.int64]
 
 
 class RoundDomain:
-    """A surface around a centre; coordinates are unit vectors, mapped by ``shape`` and a ray.
+    """A surface around a centre; coordinates are unit vectors.
 
-    Mapping an ellipsoid's from the unit sphere linearly makes II(e, e) the same in all directions.
+    They are mapped linearly to the ellipsoid x^T A x = 1, which makes II(e, e) the same in all
+    directions, and from the sphere along rays to other surfaces.
     """
 
     def __init__(self, surface: Surface):
         self.surface = surface
         self.coarsest, self.patches = 6.0, 2.0  # parts of an icosahedron's edge
-        self.centre, self.shape = np.zeros(3), np.eye(3)
-        if isinstance(surface, ImplicitSurface):
-            self.centre = np.array(surface.center)
-        elif isinstance(surface, Quadric):
-            values, vectors = np.linalg.eigh(np.array(surface.A))
-            self.shape = vectors / np.sqrt(values) @ vectors.T
+        self._A = np.eye(3) / surface.size**2
+        if isinstance(surface, Quadric):
+            self._A = np.array(surface.A)
         elif isinstance(surface, Ellipsoid):
-            self.shape = np.diag([surface.a, surface.b, surface.c])
-        else:
-            self.shape *= surface.size
-        self._back = np.linalg.inv(self.shape)
+            self._A = np.diag(np.power([surface.a, surface.b, surface.c], -2.0))
+        values, vectors = np.linalg.eigh(self._A)
+        self._root = vectors / np.sqrt(values) @ vectors.T
 
     def place(self, q: Array) -> tuple[Array, Array]:
-        points, surface = self.centre + q @ self.shape, self.surface
+        points, surface = q @ self._root, self.surface
         if isinstance(surface, ImplicitSurface):
-            points = surface.point(*surface.coordinates(points))
-            gradient = _gradient(surface, points)
-        else:  # that of |points @ back|^2
-            gradient = points @ self._back @ self._back.T
-        return points, surface.sign * _unit(gradient)
+            points = surface.point(*surface.coordinates(points + surface.center))
+            return points, surface.sign * _unit(_gradient(surface, points))
+        return points, surface.sign * _unit(points @ self._A)
 
     def midpoints(self, a: Array, b: Array) -> Array:
         return _unit(a + b)
