@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import SpatialInertia
+from pydrake.polynomial import Polynomial
 from pydrake.systems.framework import DiagramBuilder
+from pydrake.trajectories import PiecewisePolynomial, PiecewisePose
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
@@ -46,37 +47,22 @@ class ShortestPath:
     """
 
     def __init__(self, X_WO: RigidTransform, X_WO_goal: RigidTransform, start: float, stop: float):
-        turn = (X_WO_goal.rotation() @ X_WO.rotation().inverse()).ToAngleAxis()
-        self._from, self._axis, self._angle = X_WO, turn.axis(), turn.angle()
-        self._way = X_WO_goal.translation() - X_WO.translation()
-        self._start, self._time = start, stop - start
-
-    def _along(self, t: float) -> tuple[float, float, float]:
-        """Part of the way, and its first and second derivative."""
-        x, T = min(max((t - self._start) / self._time, 0.0), 1.0), self._time
-        return (
-            x**3 * (10 + x * (6 * x - 15)),
-            30 * x**2 * (1 - x) ** 2 / T,
-            60 * x * (1 - x) * (1 - 2 * x) / T**2,
-        )
-
-    def start_time(self) -> float:
-        return self._start
-
-    def end_time(self) -> float:
-        return self._start + self._time
+        self._way = PiecewisePose.MakeLinear([0.0, 1.0], [X_WO, X_WO_goal])
+        self._twist = self._way.GetVelocity(0.5)
+        T = stop - start
+        pace = Polynomial([0, 0, 0, 10 / T**3, -15 / T**4, 6 / T**5])
+        part = PiecewisePolynomial([np.array([[pace]])], [start, stop])  # of the way, 0 to 1
+        self._part, self._rate, self._change = (part.derivative(k) for k in range(3))
+        self.start_time, self.end_time = part.start_time, part.end_time
 
     def GetPose(self, t: float) -> RigidTransform:
-        s, _, _ = self._along(t)
-        turn = RotationMatrix(AngleAxis(s * self._angle, self._axis))
-        place = self._from.translation() + s * self._way
-        return RigidTransform(turn @ self._from.rotation(), place)
+        return self._way.GetPose(self._part.value(t).item())
 
     def GetVelocity(self, t: float) -> Array:
-        return self._along(t)[1] * np.append(self._angle * self._axis, self._way)
+        return self._rate.value(t).item() * self._twist
 
     def GetAcceleration(self, t: float) -> Array:
-        return self._along(t)[2] * np.append(self._angle * self._axis, self._way)
+        return self._change.value(t).item() * self._twist
 
 
 @dataclass(frozen=True, eq=False, repr=False)
