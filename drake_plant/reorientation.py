@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.tree import SpatialInertia
 from pydrake.polynomial import Polynomial
 from pydrake.systems.framework import DiagramBuilder
@@ -334,16 +335,14 @@ def _planned(
 def _contacts(chains: Chains, X: list[RigidTransform], V: Array, q: Array, v: Array) -> Array:
     """What probes find of every contact, and its spin: (m, n, FOUND + 1)."""
     rows = np.empty((len(q), len(chains.joints), FOUND + 1))
-    for k, (X_WO, V_WO) in enumerate(zip(X, V)):
-        chains.put(q[k])
-        R = X_WO.rotation().matrix()
-        for i in range(rows.shape[1]):
-            w, rate = np.split(chains.jacobian(i) @ v[k], 2)
-            arm = chains.pose(i).translation() - X_WO.translation()
-            w_OF = R.T @ (w - V_WO[:3])
-            twist = np.append(w_OF, R.T @ (rate - V_WO[3:] - np.cross(V_WO[:3], arm)))
+    for k, (X_WO, V_WO) in enumerate(zip(X, map(SpatialVelocity, V))):
+        chains.put(q[k], v[k])
+        for i, tip in enumerate(chains.tips):
+            swept = V_WO.Shift(chains.pose(i).translation() - X_WO.translation())
+            V_OF_W = tip.EvalSpatialVelocityInWorld(chains.context) - swept
+            twist = V_OF_W.Rotate(X_WO.rotation().inverse()).get_coeffs()
             rows[k, i, :FOUND] = at = chains.touch(i, X_WO, twist)
-            rows[k, i, FOUND] = at[NORMAL] @ w_OF
+            rows[k, i, FOUND] = at[NORMAL] @ twist[:3]
     return rows
 
 
