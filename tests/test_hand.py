@@ -14,15 +14,9 @@ from pydrake.trajectories import PiecewisePose
 
 import contact_system as cs
 from contact_system.cli import main
-from drake_plant import (
-    Hand,
-    StationConfig,
-    hand_report,
-    plan_reorientation,
-    simulate,
-    simulate_hand,
-)
+from drake_plant import Hand, StationConfig, hand_report, plan_reorientation, simulate
 from drake_plant.hand import own_hand
+from drake_plant.hand_station import simulate_hand
 from drake_plant.measures import object_report
 
 H2 = cs.load_scene("H2")
@@ -36,7 +30,8 @@ def made(scene=H2, **changes):
 
 @pytest.mark.parametrize("name", ["H2", "H3"])
 def test_fingers_of_a_plan_roll_and_press_as_the_object_needs(name):
-    plan = made(cs.load_scene(name))
+    scene = cs.load_scene(name)
+    plan = made(scene)
     assert plan.slip.max() < 1e-8  # by contact_system's own sensor
     turned = RotationMatrix(plan.object_pose[-1, :3, :3]).ToAngleAxis().angle()
     assert turned == pytest.approx(math.radians(35.9), abs=1e-2)
@@ -44,13 +39,10 @@ def test_fingers_of_a_plan_roll_and_press_as_the_object_needs(name):
     np.testing.assert_allclose(plan.forces.sum(axis=1), [[0, 0, weight]] * len(plan.t), atol=1e-6)
     assert plan.cones.max() <= 0.8 + 1e-6
     assert (plan.q >= plan.chains.lower).all() and (plan.q <= plan.chains.upper).all()
-
-
-def test_an_object_by_its_equation_is_carried_as_the_ellipsoid_that_it_is():
-    scene = cs.load_scene("H3")
-    axes = np.array([scene.object.a, scene.object.b, scene.object.c])
-    same = made(scene.replace(object=cs.Quadric(np.diag(axes**-2))))
-    np.testing.assert_allclose(same.forces, made(scene).forces, rtol=0, atol=1e-7)
+    if name == "H3":  # by its equation it is the same object
+        axes = np.array([scene.object.a, scene.object.b, scene.object.c])
+        same = made(scene.replace(object=cs.Quadric(np.diag(axes**-2))))
+        np.testing.assert_allclose(same.forces, plan.forces, rtol=0, atol=1e-7)
 
 
 def test_fingers_of_six_joints_follow_routes_of_reach(tmp_path):
