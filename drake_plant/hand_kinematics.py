@@ -279,7 +279,7 @@ class Chains:
         raise SceneError(
             f"{self.scene.contact_name(i)} does not reach {point} m: its tip stays {left[i]:.2g} m "
             f"away, at {tip} m, with {self._limits(self.joints[i], found)}; put the hand elsewhere,"
-            " by its base"
+            " or tips in the order of the contacts"
         )
 
     def _missed(self, q: Array, centres: Array) -> Array:

@@ -155,7 +155,8 @@ def plan_reorientation(
     X_WO_goal : RigidTransform, RotationMatrix or (4, 4), optional
         None: where the table's `turn` and `move` lead.
     path : PiecewisePose, optional
-        X_WO; None: the shortest path, from rest to rest. Before and after it the object rests.
+        X_WO, or what answers to its names; None: the shortest path, from rest to rest. Before and
+        after it the object rests.
         Forces follow its acceleration: where its velocity jumps, as that of rotations does at every
         pose of a PiecewisePose, the object lags behind for a moment, and joints need large torques.
     config : StationConfig, optional
