@@ -166,14 +166,12 @@ class Chains:
         self.effort = np.full(size, np.inf)
         for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
             self.effort[actuator.joint().velocity_start()] = actuator.effort_limit()
-        self.joints: list[list[int]] = [[] for _ in self.tips]
-        for k, joint in enumerate(moving):
-            moved = plant.GetBodiesKinematicallyAffectedBy([joint.index()])
-            for own, tip in zip(self.joints, self.tips):
-                if tip.index() in moved:
-                    own.append(k)
+        moves = [plant.GetBodiesKinematicallyAffectedBy([joint.index()]) for joint in moving]
+        self.joints = [
+            [k for k, bodies in enumerate(moves) if tip.index() in bodies] for tip in self.tips
+        ]
         for i, own in enumerate(self.joints):
-            shared = {k for others in self.joints[:i] for k in others if k in own}
+            shared = [k for k in own if any(k in other for other in self.joints[:i])]
             if shared or not own:
                 names = ", ".join(self.names[k] for k in shared)
                 what = f"shares {names} with another" if shared else "is moved by no joint"
