@@ -218,7 +218,7 @@ def _rolled(chains: Chains, path: Any) -> tuple[Array, Array, Array]:
 
     def rates(time: float, q: Array) -> Array:
         with naming(f"t = {time:.3g} s"):
-            return chains.rolling(q, path.GetPose(time), np.ravel(path.GetVelocity(time)))
+            return chains.rolling(q, path.GetPose(time), path.GetVelocity(time))
 
     def room(time: float, q: Array) -> float:
         return float(chains.room(q).min())
@@ -264,7 +264,7 @@ def _routed(
 
 def _carried(path: Any, t: float, places: Array, twists: Array) -> Array:
     """V_WF of tips from p_OF and V_OF in O, (n, 6)."""
-    R, V_WO = path.GetPose(t).rotation().matrix(), np.ravel(path.GetVelocity(t))
+    R, V_WO = path.GetPose(t).rotation().matrix(), path.GetVelocity(t)
     swept = np.cross(V_WO[:3], places @ R.T)
     return V_WO + np.hstack([twists[:, :3] @ R.T, twists[:, 3:] @ R.T + swept])
 
@@ -292,9 +292,7 @@ def _planned(
         chains.refuse_limits(t, q)
     X = [path.GetPose(time) for time in t]
     R = np.array([pose.rotation().matrix() for pose in X])
-    V, A = (
-        np.array([np.ravel(get(x)) for x in t]) for get in (path.GetVelocity, path.GetAcceleration)
-    )
+    V, A = (np.array([get(x) for x in t]) for get in (path.GetVelocity, path.GetAcceleration))
     found = _contacts(chains, X, V, q, v)
     states = found[..., STATES]
     points = np.stack([found[..., ON_FINGER], found[..., ON_OBJECT]], axis=2)
