@@ -72,29 +72,28 @@ class ChartDomain:
     """
 
     def __init__(self, surface: Surface, curve: Array, margin: float, opposing: float):
-        self.surface, self.periods = surface, surface.periods()
+        self.surface, periods = surface, surface.periods()
         u, v = (
             w if period is None else np.unwrap(w, period=period)
-            for w, period in zip(surface.coordinates(curve), self.periods)
+            for w, period in zip(surface.coordinates(curve), periods)
         )
         metric = surface.metric_root(u, v)
         form = surface.curvature_form(u, v) + opposing * np.eye(2)
         gap = np.abs(np.nanmean(metric.swapaxes(-1, -2) @ form @ metric, axis=0))
-        self._scale = np.sqrt([gap[0, 0], gap[1, 1]])
         lame = np.nanmean(surface.lame(u, v), axis=0)
         spans = []
-        for w, h, period in zip((u, v), lame, self.periods):
+        for w, h, period in zip((u, v), lame, periods):
             lo, hi = np.nanmin(w) - margin / h, np.nanmax(w) + margin / h
             spans.append((lo, hi) if period is None else (0.0, period))
         if isinstance(surface, Cylinder):  # so that its mass centre is the body's origin
             spans[1] = (-max(map(abs, spans[1])), max(map(abs, spans[1])))
-        self._spans = np.array(spans)
-        length = self._length()
-        self.coarsest = self.patches = 6.0 * max(length) / min(length)  # six to the shorter side
-
-    def _length(self) -> Array:
-        """Square root of the gap that opens along each side, sqrt(m)."""
-        return (self._spans[:, 1] - self._spans[:, 0]) * self._scale
+        self._first, last = np.transpose(spans)
+        self._sides = last - self._first
+        length = self._sides * np.sqrt(np.diag(gap))  # root of the gap along each side, sqrt(m)
+        self._length = length / max(length)
+        self.coarsest = self.patches = 6.0 / min(self._length)  # six to the shorter side
+        self._closed = np.array([period is not None for period in periods])
+        self._period = np.array([period or 1.0 for period in periods])
 
     def place(self, q: Array) -> tuple[Array, Array]:
         points, normals = self.surface.point(*q.T), self.surface.normal(*q.T)
@@ -104,22 +103,13 @@ class ChartDomain:
         return points, normals
 
     def midpoints(self, a: Array, b: Array) -> Array:
-        return a + self._short(b - a) / 2
-
-    def _short(self, step: Array) -> Array:
-        """Differences of coordinates, the short way round."""
-        step = step.copy()
-        for k, period in enumerate(self.periods):
-            if period is not None:
-                step[:, k] -= period * np.round(step[:, k] / period)
-        return step
+        turns = self._closed * np.round((b - a) / self._period)  # the short way round
+        return a + (b - a - self._period * turns) / 2
 
     def base(self, size: float) -> tuple[Array, Triangles]:
         """A grid of ``size`` squares to the longer side, halved by diagonals."""
-        length = self._length()
-        nu, nv = (max(3, round(size * w / max(length))) for w in length)
-        closed = [period is not None for period in self.periods]
-        shape = nv + (not closed[1]), nu + (not closed[0])
+        nu, nv = (max(3, round(size * w)) for w in self._length)
+        shape = nv + (not self._closed[1]), nu + (not self._closed[0])
         row, column = np.indices(shape)
         q = np.stack([column / nu, row / nv], axis=-1).reshape(-1, 2)
         i, j = (w.ravel() for w in np.meshgrid(np.arange(nu), np.arange(nv)))
@@ -128,7 +118,7 @@ class ChartDomain:
             for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))
         )
         triangles = np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
-        return self._spans[:, 0] + q * (self._spans[:, 1] - self._spans[:, 0]), triangles
+        return self._first + q * self._sides, triangles
 
 
 Domain = RoundDomain | ChartDomain
