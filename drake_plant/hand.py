@@ -55,9 +55,9 @@ class Hand:
     Parameters
     ----------
     model : str
-        An SDF, URDF or MJCF file; "": the project's own hand, whose fingers stand around a palm
-        where the scene's contacts are. Each has a joint that swings it sideways and three that curl
-        it.
+        An SDF, URDF or MJCF file, or its package:// URL; "": the project's own hand, whose fingers
+        stand around a palm where the scene's contacts are. Each has a joint that swings it sideways
+        and three that curl it.
     joints : int
         Of each of the own hand's fingers: 4, or 6, with two more at its wrist.
     tips : list of str

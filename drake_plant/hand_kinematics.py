@@ -63,8 +63,9 @@ def add_hand(plant: MultibodyPlant, hand: Hand, scene: Scene, tips: list[RigidBo
     parser.SetAutoRenaming(True)  # a contact may have the model's name
     parser.package_map().PopulateFromRosPackagePath()
     if hand.model:
+        kind = "url" if "://" in str(hand.model) else "file_name"
         try:
-            instances = parser.AddModels(hand.model)
+            instances = parser.AddModels(**{kind: hand.model})
         except RuntimeError as error:
             raise SceneError(f"hand: model = {hand.model!r}: {error}") from None
     else:

@@ -100,7 +100,9 @@ def test_what_a_model_cannot_do_is_refused_with_the_reason(tmp_path, old, new, w
         made(hand=in_file(tmp_path, re.sub(old, new, AROUND)), move=[0, 0.9, 0])
 
 
-def test_a_model_of_a_hundredth_of_the_mass_moves_as_the_own_hand(tmp_path):
+def test_a_model_of_a_hundredth_of_the_mass_moves_as_the_own_hand(tmp_path, monkeypatch):
+    (tmp_path / "package.xml").write_text("<package><name>light</name></package>")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
     text = re.sub(
         "(<mass>|<i..>|<effort>|<damping>|'drake'>)([^<]+)",
         lambda found: f"{found[1]}{0.01 * float(found[2])}",
@@ -109,6 +111,7 @@ def test_a_model_of_a_hundredth_of_the_mass_moves_as_the_own_hand(tmp_path):
     contacts = [dataclasses.replace(c, name=x) for c, x in zip(H2.contacts, ("hand", "b", "c"))]
     light = {key: 0.01 * H2.drake[key] for key in ("object_mass", "finger_mass", "stiffness")}
     light |= {"normal_force": 0.02, "contact_model": "point", "hand": in_file(tmp_path, text)}
+    light["hand"]["model"] = "package://light/mine.sdf"
     plan = made(H2.replace(contacts=contacts), **light)
     np.testing.assert_allclose(plan.q, made(contact_model="point").q, atol=1e-6)
     told = hand_report(simulate(plan.scene, duration=0.3))
