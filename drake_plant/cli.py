@@ -85,16 +85,13 @@ def _written(
 ) -> Iterable[str]:
     """Write logs and picture; yields a line for each file, and for what is left out."""
     from . import plots
-    from .hand_outcome import HAND_PANELS
-    from .hand_station import HandResult
 
     for suffix in (".npz", ".csv"):
         result.save(stem.with_suffix(suffix))
         yield f"wrote {stem.with_suffix(suffix)}"
         progress.step("drawing" if suffix == ".csv" else "writing")
     try:
-        panels = HAND_PANELS if isinstance(result, HandResult) else ()
-        plots.plot(result, stem.with_suffix(".png"), opened=opened, panels=panels)
+        plots.plot(result, stem.with_suffix(".png"), opened=opened)
         yield f"wrote {stem.with_suffix('.png')}"
     except MissingMatplotlib as error:
         yield f"no picture: {error}"

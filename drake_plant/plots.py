@@ -21,6 +21,8 @@ from contact_system.plots.meshes import mesh_of
 from contact_system.plots.style import DISTURBED, INK, RECOVERY, colour_of
 
 from .config import require_config
+from .hand_outcome import HAND_PANELS
+from .hand_station import HandResult
 from .measures import misses
 from .simulation import SimulationResult
 
@@ -37,7 +39,6 @@ def plot(
     path: str | os.PathLike,
     dpi: int = 160,
     opened: SimulationResult | None = None,
-    panels: Sequence[Callable[..., None]] = (),
 ) -> None:
     """One picture: contact curves on the object; slip, forces and distances over time.
 
@@ -50,8 +51,6 @@ def plot(
         Dots an inch, 10 to 2400; the picture is 13 by 9 inches.
     opened : SimulationResult, optional
         The same with the loop open, to be drawn beside it.
-    panels : sequence of callable, optional
-        Four that draw a result on axes, in the place of the usual ones.
 
     Raises
     ------
@@ -65,7 +64,9 @@ def plot(
         draw_title(left, planned)
         _draw_curves(left.add_axes((0.02, 0.18, 0.96, 0.68)), result, planned)
         _key(left.add_axes((0.05, 0.02, 0.9, 0.15)), result)
-        panels = panels or (_draw_slip, _draw_normal, _draw_friction, _draw_distance)
+        panels: Sequence[Callable[..., None]] = HAND_PANELS
+        if not isinstance(result, HandResult):
+            panels = _draw_slip, _draw_normal, _draw_friction, _draw_distance
         for k, draw in enumerate(panels):
             axes = right.add_axes((0.12, 0.785 - 0.24 * k, 0.84, 0.175))
             draw(axes, result)
