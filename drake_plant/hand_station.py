@@ -22,13 +22,13 @@ from .hand_kinematics import moving_joints
 from .plant import AddScenePlant, ScenePlant
 from .recording import Recording
 from .reorientation import Reorientation
-from .simulation import LOGGED, Asked, Log, SimulationResult, _film_path, measurements
+from .simulation import LOGGED, Asked, Log, SimulationResult, film_path, measurements
 from .station import add_pushes, wire
 
 Array = NDArray[np.float64]
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class HandResult(SimulationResult):
     """A :class:`SimulationResult` of a hand, and besides, m times:
 
@@ -80,18 +80,15 @@ def simulate_hand(
     plan: Reorientation,
     duration: float | None = None,
     progress: Callable[[float], None] | None = None,
-    film: Recording | None = None,
     recording: str | Path | None = None,
 ) -> HandResult:
-    """Simulate a plan from its start: see :func:`simulate`.
-
-    film : a Recording for the caller to save; ``recording`` alone writes a film there
-    """
+    """Simulate a plan from its start: see :func:`simulate`."""
     require_config(plan, Reorientation, "plan")
     duration = plan.scene.duration if duration is None else duration
     finite_number(duration, f"{plan.scene.title}: duration", "above 0")
+    film = None
     if recording is not None:
-        recording, film = _film_path(plan.scene, recording), film or Recording()
+        recording, film = film_path(plan.scene, recording), Recording()
     begun = time.perf_counter()
     station, parts = BuildHandStation(plan, None if film is None else film.Add)
     simulator = Simulator(station)

@@ -27,6 +27,7 @@ from .config import StationConfig, checked
 from .contact_gauge import COLUMNS
 from .planner_base import PORTS
 from .plant import ScenePlant
+from .recording import Recording
 from .reorientation import plan_reorientation
 from .station import SetInitialState, build
 
@@ -46,7 +47,7 @@ CONTINUOUS = SimulatorConfig(
 """Of a continuous plant: with a larger accuracy the planner is further off than it may be."""
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class SimulationResult:
     """What :func:`simulate` saw, about every 2 ms and at the end of every step in which a finger is
     off the object. m times, n contacts; SI units.
@@ -166,17 +167,14 @@ def simulate(
             "s: give a finite time of at least one step"
         )
     period = step * max(1, math.floor(min(LOGGED, duration) / step + NEAR))
-    film = None
-    if recording is not None:
-        from .recording import Recording
-
-        recording, film = _film_path(scene, recording), Recording()
     if config.hand is not None:
         from .hand_station import simulate_hand
 
         planned_hand = plan_reorientation(config.hand, scene, config=config)
-        return simulate_hand(planned_hand, duration, progress, film, recording)
-
+        return simulate_hand(planned_hand, duration, progress, recording)
+    film = None
+    if recording is not None:
+        recording, film = film_path(scene, recording), Recording()
     begun = time.perf_counter()
     # meshes have to reach as far as contacts go
     whole = scene if duration <= scene.duration else scene.replace(duration=duration)
@@ -206,7 +204,7 @@ def simulate(
     return result
 
 
-def _film_path(scene: Scene, recording: str | Path) -> Path:
+def film_path(scene: Scene, recording: str | Path) -> Path:
     """Where a film can be written; a simulation may take hours before it is."""
     path = a_path(recording, f"{scene.title}: recording")
     if not path.parent.is_dir() or path.is_dir() or path.suffix != ".html":
