@@ -311,7 +311,7 @@ class Plan:
                 [(leg.start, leg.turn) for leg in s.way(i) if leg.start <= t]
                 for s in (self.scene, after)
             ]
-            if old.start_numbers() != new.start_numbers() or begun[0] != begun[1]:
+            if old.start() != new.start() or begun[0] != begun[1]:
                 raise SceneError(
                     f"{where}: contact {i} starts or turns in another way than in the plan; give "
                     "the same contact, on which only legs that begin after t may be others, or "

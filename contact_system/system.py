@@ -42,8 +42,8 @@ from .contact_equations import Form, contact_function
 from .engine.binding import Machine, contact_table, run
 from .errors import SceneError
 from .kept import kept
-from .planning.starts import Start, measured_start, scene_start
-from .scene import SLOTS, Disturbance, Scene, Stretch, acting, refuse_rest, require_scene
+from .planning.starts import measured_start
+from .scene import SLOTS, Disturbance, Scene, Start, Stretch, acting, refuse_rest, require_scene
 from .scene.contact import rotated
 from .surfaces import TINY, Ellipsoid, Surface, UserSurface
 from .theory import symbols as ca
@@ -124,7 +124,7 @@ class SceneSystem:
         law = (scene.gain.value, *scene.profile.coefficients)
         self._number_slices = _consecutive([len(law), *(len(b.parameters) + 1 for b in bodies)])
         self.parameters = np.array([*law, *(x for b in bodies for x in (*b.parameters, b.size))])
-        self.x0, self.held0 = self.place(0.0, [scene_start(c) for c in scene.contacts])
+        self.x0, self.held0 = self.place(0.0, [c.start() for c in scene.contacts])
         self._functions: dict[tuple[str, ...], ca.Function] = {}
 
     def __reduce__(self) -> tuple:
@@ -408,7 +408,7 @@ class SceneSystem:
         starts = [
             measured_start(self.scene, i, t, row, offset)
             if chosen is None or chosen[i]
-            else scene_start(self.scene.contacts[i])
+            else self.scene.contacts[i].start()
             for i, (row, offset) in enumerate(zip(rows.reshape(n, 9), offsets))
         ]
         return self.place(t, starts)

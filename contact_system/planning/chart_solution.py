@@ -14,11 +14,11 @@ from scipy.integrate import OdeSolution, solve_ivp
 
 from ..checks import within
 from ..errors import ContactSystemError, SceneError
-from ..scene import Scene
+from ..scene import Scene, Start
 from ..system import SceneSystem, SystemMachine, without_chart
 from .explanation import passed
 from .motion import SHAPES
-from .starts import Start, Starts, scene_start
+from .starts import Starts
 
 PARTS = 16  # parts of a solver's step that are searched for singular points
 LOST = 1e-12  # of the body's size: a Lame coefficient below it counts as zero
@@ -47,7 +47,7 @@ class ChartMotion:
         if reason := without_chart(scene):
             raise SceneError(f"{scene.title}{reason}; use the default method")
         self._arguments = scene, tolerance, begin, solver
-        self._starts = starts or [scene_start(contact) for contact in scene.contacts]
+        self._starts = starts or [contact.start() for contact in scene.contacts]
         self._contacts: list[ChartContact] = []
 
     def solve(self) -> list[ChartContact]:

@@ -13,8 +13,8 @@ import numpy as np
 from ..archives import opened
 from ..checks import known_keys, naming, within
 from ..errors import ContactSystemError, SceneError
-from ..scene import scene_to_toml
-from .starts import Moment, Start, Starts
+from ..scene import Start, scene_to_toml
+from .starts import Moment, Starts
 
 if TYPE_CHECKING:
     from ..plan import Plan
@@ -26,7 +26,7 @@ PLAN_FILE = "a plan written by Plan.save"
 def texts_of(plan: Plan) -> dict[str, str]:
     """The texts of a saved plan: its scene as TOML, its other inputs as JSON, and their digest."""
     header = {key: getattr(plan, key) for key in KEYS}
-    header["starts"] = [vars(start) for start in plan.starts] if plan.starts else None
+    header["starts"] = [start._asdict() for start in plan.starts] if plan.starts else None
     texts = {"scene": scene_to_toml(plan.scene), "plan": json.dumps(header)}
     return texts | {"digest": digest(texts.values())}
 

@@ -4,42 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ..checks import naming
 from ..errors import SceneError
-from ..scene import Contact, Scene, speed
+from ..scene import Scene, Start, speed
 from ..surfaces import Surface
 
 LARGEST_ANGLE = 1e7  # rad: a double resolves it to 2e-9
 
 
-@dataclass
-class Start:
-    """Start of one contact, in its contact frames at the start time."""
-
-    finger_at: tuple[float, float]  # u, v
-    object_at: tuple[float, float]
-    angle: float  # psi
-    finger_velocity: tuple[float, float]  # M1 dq1/ds in E1
-    object_velocity: tuple[float, float]  # M2 dq2/ds in E2, without object rate offsets
-
-    def start_numbers(self) -> tuple[float, ...]:
-        """The 9 numbers in this order."""
-        places = (*self.finger_at, *self.object_at, self.angle)
-        return (*places, *self.finger_velocity, *self.object_velocity)
-
-
-def scene_start(contact: Contact) -> Start:
-    """The start that a scene's contact describes."""
-    n = contact.start_numbers()
-    return Start(n[0:2], n[2:4], n[4], n[5:7], n[7:9])  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True)
-class Moment:
+class Moment(NamedTuple):
     """One contact at one time, in its moving frames: all that a plan needs to go on exactly."""
 
     angle: float  # psi where both frame angles are zero

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -68,6 +68,16 @@ def rolled(angle: float, w: Any) -> Any:
 def rotated(cosine: Any, sine: Any, w: Pair) -> Any:
     """A vector of the plane, rotated by an angle with this cosine and sine."""
     return cosine * w[0] - sine * w[1], sine * w[0] + cosine * w[1]
+
+
+class Start(NamedTuple):
+    """How a contact starts, in its contact frames."""
+
+    finger_at: Pair  # u, v
+    object_at: Pair
+    angle: float  # psi
+    finger_velocity: Pair  # M1 dq1/ds in E1
+    object_velocity: Pair  # M2 dq2/ds in E2, without object rate offsets
 
 
 @dataclass(frozen=True)
@@ -147,8 +157,8 @@ class Contact:
                 "legs; give finger_velocity as two numbers, or leave the legs out"
             )
 
-    def start_numbers(self) -> tuple[float, ...]:
-        """The 9 numbers of a `planning.starts.Start` in their order, words replaced by numbers."""
+    def start(self) -> Start:
+        """The start, words replaced by numbers."""
         w1: Any = self.finger_velocity
         w2: Any = self.object_velocity
         if self.legs:
@@ -159,8 +169,7 @@ class Contact:
             w2 = rolled(self.angle, w1)
         elif w2 == REST:
             w2 = (0.0, 0.0)
-        (u1, v1), (u2, v2) = self.finger_at, self.object_at
-        return u1, v1, u2, v2, self.angle, w1[0], w1[1], w2[0], w2[1]
+        return Start(self.finger_at, self.object_at, self.angle, w1, w2)  # type: ignore[arg-type]
 
     def way(self, profile: Profile, duration: float) -> tuple[Stretch, ...]:
         """The legs on a horizon [s]; without legs, one stretch with the scene's profile."""
