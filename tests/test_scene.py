@@ -318,7 +318,7 @@ def test_arithmetic_texts_are_numbers():
 @pytest.mark.parametrize(
     "old, new, words",
     [
-        ('name = "good"', "name = good", ["not valid TOML", "line 2"]),
+        ('name = "good"', "name = good", ["not valid TOML", "line 2", "in quotes"]),
         ("duration = 2.0", "", ["'duration' is missing"]),
         ('[0.1, "1/5"]', '[0.1, "1/0"]', ["profile[1]", "division by zero"]),
         ('[0.1, "1/5"]', '"0.1 + 0.2*t"', ["profile = '0.1 + 0.2*t'", "coefficients of sigma"]),

@@ -83,7 +83,10 @@ def _scene(text: str, source: str) -> Scene:
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"is not valid TOML: {error}; correct that line") from None
+        raise SceneError(
+            f"is not valid TOML: {error}; correct that line (texts and arithmetic stand in quotes, "
+            'as "2*pi/3")'
+        ) from None
     except ValueError as error:  # int() reads no more than 4300 digits
         raise SceneError(f"holds a number that is too long: {error}; shorten it") from None
     contacts = document.get("contacts")
@@ -124,7 +127,8 @@ def _value(key: str, value: Any) -> Any:
             return _PARTS[key](value)
     if key in _LISTS:
         if not isinstance(value, list):
-            raise SceneError(f"{key} = {value!r}: write each one as a table under [[{key}]]")
+            header = "contacts.legs" if key == "legs" else key
+            raise SceneError(f"{key} = {value!r}: write each one as a table under [[{header}]]")
         items = []
         for i, item in enumerate(value):
             with naming(f"{key}[{i}]"):
