@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
-import math
 import numbers
 import os
 from typing import Any, BinaryIO
@@ -16,11 +15,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import FLOAT, a_path, did_you_mean, flag, naming, shaped_array
+from .checks import FLOAT, a_path, did_you_mean, finite_number, flag, shaped_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .planning.motion import SHAPES, Buffer, Motion
 from .planning.starts import Starts, covers_twice, measured_start, on_branch
-from .scene import Scene, acting, require_scene, scene_from_toml
+from .scene import Scene, acting, require_scene
 from .writing import writing
 
 METHODS = ("auto", "chart")
@@ -100,11 +99,8 @@ class Plan:
             raise SceneError(f"method = {method!r}: use one of {', '.join(METHODS)}")
         if solver not in SOLVERS:
             raise SceneError(f"solver = {solver!r}: use one of {', '.join(SOLVERS)}")
-        if not isinstance(scene, Scene):
-            require_scene(scene)
-        if not (type(tolerance) is float and 1e-15 <= tolerance <= 0.1):
-            tolerance = checked_tolerance(tolerance)
-        self.scene, self.tolerance, self.method = scene, tolerance, method
+        require_scene(scene)
+        self.scene, self.tolerance, self.method = scene, checked_tolerance(tolerance), method
         self.solver, self.start, self.starts = solver, start, starts
         self.end = scene.duration
         self._motion = self._planned(now)
@@ -288,15 +284,11 @@ class Plan:
                 f"{where}: nothing is left to plan, the scene ends at "
                 f"{after.duration:g} s; continue earlier or lengthen the scene"
             )
-        if len(after.contacts) != len(self.scene.contacts):
+        one, other = ([s.object, *(c.finger for c in s.contacts)] for s in (self.scene, after))
+        if one != other:
             raise SceneError(
-                f"{where}: contacts = {len(after.contacts)}, and the plan has "
-                f"{len(self.scene.contacts)}; give a scene of the same contacts"
-            )
-        fingers = [[c.finger for c in s.contacts] for s in (self.scene, after)]
-        if fingers[0] != fingers[1] or self.scene.object != after.object:
-            raise SceneError(
-                f"{where}: the scene has other surfaces than the plan; give one with the same"
+                f"{where}: the scene has other surfaces or contacts than the plan; give one with "
+                "the same"
             )
         self._require_frames("continued")
         for s in (self.scene, after):
@@ -475,10 +467,7 @@ class Plan:
 
 def checked_tolerance(value: Any) -> float:
     """The tolerance as a float; raises a SceneError if it is no number from 1e-15 to 1e-1."""
-    try:
-        number = float(value) if isinstance(value, numbers.Real) else math.nan
-    except OverflowError:
-        number = math.inf
+    number = finite_number(value, "tolerance")
     if not 1e-15 <= number <= 0.1:
         raise SceneError(f"tolerance = {value!r}: give a number from 1e-15 to 1e-1")
     return number
@@ -518,18 +507,12 @@ def load(path: str | os.PathLike) -> Plan:
         The file cannot be read, is not such a plan, is damaged, or exceeds a limit of
         `contact_system.limits`.
     """
-    from .planning.saved import PLAN_FILE, read_plan, starts_of  # archives are slow to import
+    from .archives import opened  # archives are slow to import
+    from .planning.saved import PLAN_FILE, inputs_of
 
     path = a_path(path)
     if path.suffix == ".toml":
         raise ContactSystemError(f"{path} is a scene file: give it to load_scene, or a plan's .npz")
-    text, inputs = read_plan(path)
-    scene = scene_from_toml(text, source=str(path))
-    with naming(str(path)):
-        try:
-            inputs["starts"] = starts_of(inputs["starts"])
-            return Plan(scene, **inputs, now=inputs["method"] != "chart")
-        except ContactSystemError:
-            raise
-        except Exception as error:  # numbers of somebody who made the digest anew
-            raise ContactSystemError(f"not {PLAN_FILE}: {error}") from None
+    with opened(path, PLAN_FILE) as archive:
+        inputs = inputs_of(archive, str(path))
+        return Plan(**inputs, now=inputs["method"] != "chart")

@@ -92,7 +92,6 @@ def test_restart_refuses_what_it_cannot_start_from():
         (0.4, [[10**400] * 9], r"give numbers, shape \(1, 9\)"),
         *((0.4, x, "restart") for x in (state + 1e-3j, state.astype(str), state > 0, [[None] * 9])),
         *((t, state, "give a time in seconds|horizon") for t in ([0.4], True, "0.4", None, 2.0)),
-        (0.4, state + 1e16 * np.eye(9)[8], r"psi = 1e\+16: rounding"),
         (0.5, state, "sigma = 0 there.*restart where sigma > 0"),
         (1.0, state, "restart at t = 1 s"),
     ):
@@ -168,7 +167,7 @@ def test_continuing_refuses_other_surfaces_the_end_and_imposed_rolling():
         (plan, [0.5], None, "give a time in seconds"),
         (cs.plan(cs.load_scene("C2")), 0.5, None, once),
         (plan, 0.5, rolling, once),
-        (plan, 0.5, plan.scene.replace(contacts=[contact] * 2), "contacts = 2, and the plan has 1"),
+        (plan, 0.5, plan.scene.replace(contacts=[contact] * 2), "other surfaces or contacts"),
         (plan, 0.5, one_contact(angle=0.4), "contact 0 starts or turns in another way"),
         (cs.plan(turning(1.0)), 1.0, turning(-1.0), "contact 0 starts or turns in another way"),
         (plan, 0.5, "K4", "scene = 'K4': give a Scene"),

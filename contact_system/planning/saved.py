@@ -5,16 +5,15 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import ZipFile
 
 import numpy as np
 
-from ..archives import opened
-from ..checks import known_keys, naming, within
-from ..errors import ContactSystemError, SceneError
-from ..scene import Start, scene_to_toml
-from .starts import Moment, Starts
+from ..checks import within
+from ..errors import ContactSystemError
+from ..scene import Start, scene_from_toml, scene_to_toml
+from .starts import Moment
 
 if TYPE_CHECKING:
     from ..plan import Plan
@@ -38,45 +37,32 @@ def digest(texts: Iterable[str]) -> str:
     return hashlib.sha256("\0".join(texts).encode()).hexdigest()
 
 
-def read_plan(path: Path) -> tuple[str, dict[str, Any]]:
-    """The scene's TOML text and the other inputs of a saved plan, by `KEYS`.
+def inputs_of(archive: ZipFile, source: str) -> dict[str, Any]:
+    """The arguments of a saved plan; `source` names its file.
 
     Raises
     ------
     ContactSystemError
-        No such file, a damaged one, or one that was changed after it was written.
+        It exceeds a limit, or was changed after it was written; other errors if it is no such file.
     """
-    with opened(path, PLAN_FILE) as archive:
-        texts = []
-        for name in ("scene", "plan", "digest"):
-            info = archive.getinfo(f"{name}.npy")
-            what = f"{info.filename}: bytes when unpacked"
-            within("PLAN_BYTES", info.file_size, what, ContactSystemError)
-            data = io.BytesIO(archive.read(info))
-            texts.append(str(np.lib.format.read_array(data, allow_pickle=False)[()]))
-        scene, plan, known = texts
-        if known != digest([scene, plan]):
-            raise ContactSystemError(
-                f"{path}: not {PLAN_FILE}, but changed since: its digest does not match; take "
-                "the file as it was written"
-            )
-        header = json.loads(plan)
-    with naming(f"{path}: not {PLAN_FILE}"):
-        if not isinstance(header, dict):
-            raise SceneError(f"plan = {header!r}: give a table of {', '.join(KEYS)}")
-        known_keys(header, KEYS, "plan: ")
-        for key in KEYS:
-            if key not in header:
-                raise SceneError(f"plan: key '{key}' is missing; save the plan again")
-    return scene, header
-
-
-def starts_of(tables: list[dict[str, Any]] | None) -> Starts | None:
-    """The starts of a saved plan's contacts."""
-    if tables is None:
-        return None
-    kind: Any = Moment if "slip" in tables[0] else Start
-    return [
-        kind(**{key: tuple(x) if isinstance(x, list) else x for key, x in table.items()})
-        for table in tables
-    ]
+    texts = []
+    for name in ("scene", "plan", "digest"):
+        info = archive.getinfo(f"{name}.npy")
+        what = f"{info.filename}: bytes when unpacked"
+        within("PLAN_BYTES", info.file_size, what, ContactSystemError)
+        data = io.BytesIO(archive.read(info))
+        texts.append(str(np.lib.format.read_array(data, allow_pickle=False)[()]))
+    scene, plan, known = texts
+    if known != digest([scene, plan]):
+        raise ContactSystemError(
+            f"not {PLAN_FILE}, but changed since: its digest does not match; take the file as it "
+            "was written"
+        )
+    inputs = json.loads(plan)
+    if tables := inputs["starts"]:
+        kind: Any = Moment if "slip" in tables[0] else Start
+        inputs["starts"] = [
+            kind(**{key: tuple(x) if isinstance(x, list) else x for key, x in table.items()})
+            for table in tables
+        ]
+    return {"scene": scene_from_toml(scene, source), **inputs}
