@@ -255,7 +255,6 @@ FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(
         (window(-0.5, 1), ["disturbances[0]", "start = -0.5", "[0, 2] s"]),
         (window(0, 1, contact=2), ["contact = 2", "2 contacts", "0 to 1"]),
         (window(0, 1, contact="every"), ["contact = 'every'", '"all"']),
-        (lambda: small_scene().contact_name(2), ["scene 'small': contact = 2", "0 to 1"]),
         (
             over(contacts=[FOLLOWING], disturbances=[FingerAcceleration("all", 0, 1, (1, 0))]),
             ["contact = 0", "imposes rolling", "leave the disturbance out"],

@@ -13,8 +13,6 @@ from ..errors import SceneError
 from ..scene import Scene, Start, speed
 from ..surfaces import Surface
 
-LARGEST_ANGLE = 1e7  # rad: a double resolves it to 2e-9
-
 
 class Moment(NamedTuple):
     """One contact at one time, in its moving frames: all that a plan needs to go on exactly."""
@@ -68,11 +66,6 @@ def measured_start(
         raise SceneError(
             f"{where}: sigma = {sigma:g} there, so rates do not determine path velocities; restart "
             "where sigma > 0"
-        )
-    if abs(row[8]) > LARGEST_ANGLE:
-        raise SceneError(
-            f"{where}, contact {index}: psi = {row[8]:g}: rounding of so large an angle turns the "
-            "contact frame; take whole turns off"
         )
     velocities = []
     moved = row[4:8] - [0.0, 0.0, *offset]

@@ -56,9 +56,6 @@ def all_of(kind: type | tuple[type, ...], values: Any, what: str, names: str) ->
     return values
 
 
-MANY_TURNS = 1e3  # [rad]: an angle below it keeps 13 digits within its turn
-
-
 def rolled(angle: float, w: Any) -> Any:
     """R_psi w."""
     c, s = math.cos(angle), math.sin(angle)
@@ -134,11 +131,6 @@ class Contact:
         put(self, "object_at", pair(self.object_at, "object_at"))
         put(self, "finger_at", pair(self.finger_at, "finger_at"))
         put(self, "angle", finite_number(self.angle, "angle"))
-        if abs(self.angle) > MANY_TURNS:
-            raise SceneError(
-                f"angle = {self.angle!r}: beyond {MANY_TURNS:g} rad a double resolves an angle "
-                "within its turn too poorly; subtract whole turns"
-            )
         for key, words in (("finger_velocity", (ROLLING,)), ("object_velocity", (ROLLING, REST))):
             value = getattr(self, key)
             if not (isinstance(value, str) and value in words):

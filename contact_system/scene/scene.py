@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import numbers
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,7 +22,7 @@ from ..surfaces import Surface
 from ..surfaces.charts import fold_latitude
 from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
-from .contact import MANY_TURNS, Contact, Pair, Turning, a_surface, a_text, all_of
+from .contact import Contact, Pair, Turning, a_surface, a_text, all_of
 from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
 from .legs import STILL, Stretch, check_legs, length, speed
 
@@ -137,11 +136,6 @@ class Scene:
 
         The index follows a name that several contacts have.
         """
-        if not isinstance(index, numbers.Integral) or not 0 <= index < len(self.contacts):
-            raise SceneError(
-                f"{self.title}: contact = {index!r}: give an index from 0 to "
-                f"{len(self.contacts) - 1}"
-            )
         name = self.contacts[index].name
         if not name:
             return f"contact {index}"
@@ -272,7 +266,7 @@ class Scene:
                     name = f" '{contact.name}'" if contact.name else ""
                     raise SceneError(f"contacts[{i}]{name}: {body}_at = {given}: {error}") from None
                 if at != given:
-                    contact, half_turn = _moved(contact, i, surface, body, at)
+                    contact, half_turn = _moved(contact, surface, body, at)
                     if half_turn:
                         turned.add((body, i))
             placed.append(contact)
@@ -287,7 +281,7 @@ class Scene:
             object.__setattr__(self, "disturbances", tuple(disturbances))
 
 
-def _moved(contact: Contact, i: int, surface: Surface, body: str, at: Pair) -> tuple[Contact, bool]:
+def _moved(contact: Contact, surface: Surface, body: str, at: Pair) -> tuple[Contact, bool]:
     """The contact with the coordinates `at` of the same point on one body.
 
     Also returns whether both frame axes turn by pi: a double cover has the same point at (u, v) and
@@ -295,13 +289,6 @@ def _moved(contact: Contact, i: int, surface: Surface, body: str, at: Pair) -> t
     """
     key = f"{body}_at"
     given: Pair = getattr(contact, key)
-    for name, value, here, period in zip("uv", given, at, surface.periods()):
-        most = MANY_TURNS * (1.0 if period is None else period / (2 * math.pi))
-        if value != here and abs(value) > most:
-            raise SceneError(
-                f"contacts[{i}]: {key}: {name} = {value!r}: beyond {most:.6g} a "
-                "double resolves an angle within its turn too poorly; subtract whole turns"
-            )
     half_turn = surface.double_cover and fold_latitude(given[1])[1]
     changes: dict[str, Any] = {key: at}
     if half_turn:
