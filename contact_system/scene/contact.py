@@ -89,10 +89,11 @@ class Contact:
         The finger (body 1).
     object_at, finger_at : (float, float)
         Chart coordinates (u, v) of the contact on the object and on the finger (rad, or the
-        chart's own units). A scene brings them into the chart's regular range: (-1.57, 2.44) on a
-        sphere, where f_u x f_v points inward, becomes the same point with an outward normal, and
-        velocities are taken in the frame there. The chart of a triaxial ellipsoid covers it twice:
-        on it velocities, angle and disturbances are turned together with the frame.
+        chart's own units; ``math.radians(120)`` for 120 degrees). A scene brings them into the
+        chart's regular range, without whole turns, which states of a plan may have: (-1.57, 2.44)
+        on a sphere, where f_u x f_v points inward, becomes the same point with an outward normal,
+        and velocities are taken in the frame there. The chart of a triaxial ellipsoid covers it
+        twice: on it velocities, angle and disturbances are turned together with the frame.
     angle : float
         psi at t = 0, the contact angle between the two frames [rad].
     finger_velocity : (float, float) or "rolling"

@@ -101,7 +101,8 @@ def _scene(text: str, source: str) -> Scene:
 
 
 def refuse_degrees(places: Contact | Goal, body: Surface, finger: Surface) -> None:
-    """Whole turns are taken off the places of a contact or goal: degrees would be other places."""
+    """Refuse places of more than two turns. States of plans may have them; who types them means
+    degrees, which would be other places, as whole turns are taken off."""
     for key, surface in (("object_at", body), ("finger_at", finger)):
         for x, period in zip(getattr(places, key) or (), surface.periods()):
             # a coordinate without period ends at poles, or is no angle
