@@ -193,9 +193,6 @@ def test_a_window_may_be_as_short_as_it_likes(length):
 # --- branches and turns
 
 
-# Closed geodesics along a chart line: start, direction, the state that grows, the radius.
-
-
 OPEN = ("plane", "bumps", "one sheet", "two sheets")
 CLOSED = [name for name in SURFACES if name not in OPEN]
 
@@ -556,11 +553,8 @@ def test_states_are_refused_where_the_centre_of_an_implicit_surface_does_not_see
 
 
 def test_paths_of_which_rounding_leaves_too_few_digits_are_refused():
-    for speed, refused in ((0.1, False), (4.2e9, True), (1e89, True)):
+    for speed in (4.2e9, 1e89):
         scene = alone(cs.Sphere(0.1), profile=(1.0,), finger_velocity=(speed, 0.0))
-        if not refused:
-            cs.plan(scene)
-            continue
         with pytest.raises(cs.SceneError, match="contact 0.*leaves less than four digits of its"):
             cs.plan(scene)
 
@@ -570,14 +564,6 @@ def test_a_path_of_panels_without_end_is_refused(monkeypatch):
     force = cs.FingerAcceleration(0, 0.1, 0.5, (0.1, 5e18))
     with pytest.raises(cs.ContactSystemError, match="panels reach t = .* s of .*PANELS higher"):
         cs.plan(alone(cs.Sphere(0.1), (1.0, 0.5), disturbances=[force]))
-
-
-@pytest.mark.parametrize("start", [5e-324, 1e-240])
-def test_an_interval_too_short_for_any_path_is_planned_or_refused(start):
-    window = cs.FingerAcceleration(0, start, 0.5, (0.1, 0.1))
-    with contextlib.suppress(cs.ContactSystemError):
-        plan = cs.plan(one_contact(disturbances=[window], profile=(0.0, 0.1)))
-        assert np.isfinite(plan.points([0.0, 1.0])).all()
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])
