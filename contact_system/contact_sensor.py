@@ -141,12 +141,12 @@ class ContactSensor:
     """
 
     def __init__(self, scene: Scene, tolerance: float = 1e-13):
-        self.scene, obj = scene, scene.object
-        sizes = [obj.size, *(contact.finger.size for contact in scene.contacts)]
+        obj, *fingers = scene.surfaces
+        self.scene, sizes = scene, [surface.size for surface in scene.surfaces]
         self.small = tolerance * min(sizes)
         # steps shrink quadratically: a step that stays above is rounding, as of a far larger body
         self.settled = max(SETTLED * self.small, 1e-15 * max(sizes))
-        self.probes = [Probe(contact.finger, obj, self.small) for contact in scene.contacts]
+        self.probes = [Probe(finger, obj, self.small) for finger in fingers]
 
     def measure(
         self,

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from .checks import FLOAT, a_path, did_you_mean, finite_number, flag, shaped_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .planning.motion import SHAPES, Buffer, Motion
-from .planning.starts import Starts, covers_twice, measured_start, on_branch
+from .planning.starts import Starts, measured_start, on_branch
 from .scene import Scene, acting, require_scene
 from .writing import writing
 
@@ -284,8 +284,7 @@ class Plan:
                 f"{where}: nothing is left to plan, the scene ends at "
                 f"{after.duration:g} s; continue earlier or lengthen the scene"
             )
-        one, other = ([s.object, *(c.finger for c in s.contacts)] for s in (self.scene, after))
-        if one != other:
+        if after.surfaces != self.scene.surfaces:
             raise SceneError(
                 f"{where}: the scene has other surfaces or contacts than the plan; give one with "
                 "the same"
@@ -363,7 +362,7 @@ class Plan:
     def _on_branch(self, t: float, measured: np.ndarray) -> np.ndarray:
         """Measured states on the plan's branch of charts that cover their surface twice."""
         with contextlib.suppress(ChartSingularity):  # at an umbilic the plan has no branch
-            if covers_twice(self.scene):
+            if any(surface.double_cover for surface in self.scene.surfaces):
                 return on_branch(self.scene, measured, self.states(t)[0])
         return measured
 

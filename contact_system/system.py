@@ -120,10 +120,10 @@ class SceneSystem:
             form.n_held + bool(way) * (1 + form.n_profile)
             for form, way in zip(self.forms, self._ways)
         )
-        bodies = [scene.object, *(contact.finger for contact in scene.contacts)]
         law = (scene.gain.value, *scene.profile.coefficients)
-        self._number_slices = _consecutive([len(law), *(len(b.parameters) + 1 for b in bodies)])
-        self.parameters = np.array([*law, *(x for b in bodies for x in (*b.parameters, b.size))])
+        numbers = [law, *((*surface.parameters, surface.size) for surface in scene.surfaces)]
+        self._number_slices = _consecutive(map(len, numbers))
+        self.parameters = np.concatenate(numbers)
         self.x0, self.held0 = self.place(0.0, [c.start() for c in scene.contacts])
         self._functions: dict[tuple[str, ...], ca.Function] = {}
 
@@ -178,9 +178,8 @@ class SceneSystem:
         scene = self.scene
         names = [f"gain.{scene.gain.parameter}"]
         names += [f"profile[{k}]" for k in range(len(scene.profile.coefficients))]
-        owners = [("object", scene.object)]
-        owners += [(f"contacts[{i}].finger", c.finger) for i, c in enumerate(scene.contacts)]
-        for owner, surface in owners:
+        owners = ["object", *(f"contacts[{i}].finger" for i in range(len(scene.contacts)))]
+        for owner, surface in zip(owners, scene.surfaces):
             names += [f"{owner}.{name}" for name in (*number_names(surface), "size")]
         return names
 

@@ -164,9 +164,7 @@ def _solved_frames(scene: Scene, begins: Sequence[Any]) -> dict[int, list[Number
     All points of one surface are solved for at once.
     """
     places: dict[int, list[tuple[int, int]]] = {}
-    surfaces = {
-        id(surface): surface for surface in (scene.object, *(c.finger for c in scene.contacts))
-    }
+    surfaces = {id(surface): surface for surface in scene.surfaces}
     if isinstance(begins[0], Moment) or all(s.has_chart for s in surfaces.values()):
         return {}
     for i, contact in enumerate(scene.contacts):

@@ -78,12 +78,6 @@ def measured_start(
     return Start(tuple(row[0:2]), tuple(row[4:6]), float(row[8]), velocities[0], velocities[1])
 
 
-def covers_twice(scene: Scene) -> bool:
-    """Whether a chart in the scene covers its surface twice."""
-    surfaces = [scene.object, *(contact.finger for contact in scene.contacts)]
-    return any(surface.double_cover for surface in surfaces)
-
-
 def on_branch(scene: Scene, measured: np.ndarray, planned: np.ndarray) -> np.ndarray:
     """Measured states (n_contacts, 9) on the planned branch of charts that cover surfaces twice.
 

@@ -148,6 +148,11 @@ class Scene:
         return f"scene '{self.name}'" if self.name else "scene"
 
     @property
+    def surfaces(self) -> list[Surface]:
+        """The object's surface, then those of the fingers."""
+        return [self.object, *(contact.finger for contact in self.contacts)]
+
+    @property
     def window_edges(self) -> tuple[float, ...]:
         """Start and stop times of the disturbances, ascending [s]."""
         return tuple(sorted({t for d in self.disturbances for t in (d.start, d.stop)}))
