@@ -93,7 +93,6 @@ class Plan:
         solver: str,
         start: float = 0.0,
         starts: Starts | None = None,
-        now: bool = True,
     ):
         if method not in METHODS:
             raise SceneError(f"method = {method!r}: use one of {', '.join(METHODS)}")
@@ -103,18 +102,14 @@ class Plan:
         self.scene, self.tolerance, self.method = scene, checked_tolerance(tolerance), method
         self.solver, self.start, self.starts = solver, start, starts
         self.end = scene.duration
-        self._motion = self._planned(now)
+        given = scene, self.tolerance, start, starts
+        self._motion: Any
+        if method == "auto":
+            self._motion = Motion(scene, Buffer(*given))
+        else:
+            from .planning.chart_solution import ChartMotion  # scipy, which only this method needs
 
-    def _planned(self, now: bool) -> Any:
-        if self.method == "auto":
-            buffer = Buffer(self.scene, self.tolerance, self.start, self.starts)
-            return Motion(self.scene, buffer)
-        from .planning.chart_solution import ChartMotion  # scipy, which only this method needs
-
-        motion = ChartMotion(self.scene, self.tolerance, self.start, self.starts, self.solver)
-        if now:
-            motion.solve()
-        return motion
+            self._motion = ChartMotion(*given, solver)
 
     def __repr__(self) -> str:
         count = len(self.scene.contacts)
@@ -497,8 +492,8 @@ def require_plan(value: Any) -> None:
 def load(path: str | os.PathLike) -> Plan:
     """Read a plan saved as .npz and plan it again from the scene inside.
 
-    Its results are the same to the last bit. A plan of ``method="chart"``, which may take seconds,
-    is computed at its first evaluation. ``numpy.load`` reads the sampled results without planning.
+    Its results are the same to the last bit. With ``method="chart"`` planning may take seconds;
+    ``numpy.load`` reads the sampled results without it.
 
     Raises
     ------
@@ -513,5 +508,4 @@ def load(path: str | os.PathLike) -> Plan:
     if path.suffix == ".toml":
         raise ContactSystemError(f"{path} is a scene file: give it to load_scene, or a plan's .npz")
     with opened(path, PLAN_FILE) as archive:
-        inputs = inputs_of(archive, str(path))
-        return Plan(**inputs, now=inputs["method"] != "chart")
+        return Plan(**inputs_of(archive, str(path)))

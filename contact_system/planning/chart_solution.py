@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.integrate import OdeSolution, solve_ivp
@@ -18,7 +19,6 @@ from ..scene import Scene, Start
 from ..system import SceneSystem, SystemMachine, without_chart
 from .explanation import passed
 from .motion import SHAPES
-from .starts import Starts
 
 PARTS = 16  # parts of a solver's step that are searched for singular points
 LOST = 1e-12  # of the body's size: a Lame coefficient below it counts as zero
@@ -42,24 +42,21 @@ class ChartMotion:
     """
 
     def __init__(
-        self, scene: Scene, tolerance: float, begin: float, starts: Starts | None, solver: str
+        self,
+        scene: Scene,
+        tolerance: float,
+        begin: float,
+        starts: Sequence[Any] | None,  # each a Start, as these plans are not continued
+        solver: str,
     ):
         if reason := without_chart(scene):
             raise SceneError(f"{scene.title}{reason}; use the default method")
-        self._arguments = scene, tolerance, begin, solver
-        self._starts = starts or [contact.start() for contact in scene.contacts]
-        self._contacts: list[ChartContact] = []
-
-    def solve(self) -> list[ChartContact]:
-        """Integrate all contacts at the first call."""
-        if not self._contacts:
-            spent = itertools.count(1)  # evaluations, of all contacts
-            self._contacts = [
-                ChartContact(*self._arguments, i, start, spent)
-                for i, start in enumerate(self._starts)
-                if isinstance(start, Start)
-            ]
-        return self._contacts
+        self._begin, self._end = begin, scene.duration
+        spent = itertools.count(1)  # evaluations, of all contacts
+        self._contacts = [
+            ChartContact(scene, tolerance, begin, solver, i, start, spent)
+            for i, start in enumerate(starts or [contact.start() for contact in scene.contacts])
+        ]
 
     def evaluate(
         self, t: np.ndarray, names: Sequence[str], gaps: bool = False
@@ -68,16 +65,14 @@ class ChartMotion:
 
         Paths end before singular points, so there are no ``gaps``.
         """
-        scene, _, begin, _ = self._arguments
-        if not ((t >= begin) & (t <= scene.duration)).all():
+        if not ((t >= self._begin) & (t <= self._end)).all():
             return None
-        contacts = self.solve()
-        return {name: np.stack([c.result(name, t) for c in contacts], 1) for name in names}
+        return {name: np.stack([c.result(name, t) for c in self._contacts], 1) for name in names}
 
     def lines(self) -> list[str]:
         """How each contact was integrated."""
         lines = []
-        for i, contact in enumerate(self.solve()):
+        for i, contact in enumerate(self._contacts):
             lines.append(f"contact {i}:")
             lines += [f"  both   {line}" for line in contact.lines]
         return lines
