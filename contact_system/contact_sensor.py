@@ -38,34 +38,9 @@ GRID = 25  # points in each coordinate of a finger, among which the nearest to t
 LONGEST_STEP = 0.5  # of a curved body's size, where bodies are far apart
 SEEN = 22  # numbers of a measurement
 # columns of what is found, those of `measured_contact` behind the next unknowns
-STATES, SLIP, ON_FINGER, ON_OBJECT = slice(2, 11), slice(11, 13), slice(13, 16), slice(16, 19)
-FRAME, NORMAL, SURFACES, GAP = slice(19, 28), slice(25, 28), slice(16, 36), 36
+STEP, RELATIVE, STATES, SLIP, ON_FINGER = 0, 1, slice(2, 11), slice(11, 13), slice(13, 16)
+ON_OBJECT, FRAME, NORMAL, GAP = slice(16, 19), slice(19, 28), slice(25, 28), 36
 VELOCITY, FOUND = slice(37, 40), 40
-
-
-class Measurement:
-    """What follows from relative poses and twists at n contacts.
-
-    Not finite where there is no contact frame.
-
-    Attributes
-    ----------
-    step : (n,), length of the next step of Newton's method, m
-    relative : (n,), det of the relative curvature over its square; 0 where bodies conform
-    states : (n, 9), u1 v1 u1' v1' u2 v2 u2' v2' psi, principal values
-    slip : (n, 2), v_rel in E2, m/s
-    points : (n, 2, 3), x_1 on the finger and x_2 on the object, each in its body's frame, m
-    frame : (n, 3, 3), E2, rows x, y, n, in the object's frame
-    surfaces : (n, 20), x_2, E2 as in `frame`, K_2, K_1 in E2, 1/m
-    gap : (n,), distance along the normal, negative where the bodies overlap, m
-    velocity : (n, 3), of the contact point on the object, in its frame, m/s
-    """
-
-    def __init__(self, table: np.ndarray):
-        self.step, self.relative, self.gap = table[:, 0], table[:, 1], table[:, GAP]
-        self.states, self.slip, self.velocity = table[:, STATES], table[:, SLIP], table[:, VELOCITY]
-        self.points = np.stack([table[:, ON_FINGER], table[:, ON_OBJECT]], axis=1)
-        self.surfaces, self.frame = table[:, SURFACES], table[:, FRAME].reshape(-1, 3, 3)
 
 
 def measured_states(
@@ -108,9 +83,9 @@ def measured_states(
         rigid_motion(one, f"{scene.title}, contact {i}: pose", NOISE, ContactSystemError)
     others = _given(scene, "twist", twist, (6,)), _given(scene, "points", points, (3,))
     sensor = ContactSensor(scene)
-    measurement = sensor.measure(poses[:, :3].reshape(-1, 12), *others)
-    sensor.check(measurement)
-    return measurement.states
+    found = sensor.measure(poses[:, :3].reshape(-1, 12), *others)
+    sensor.check(found)
+    return found[:, STATES]
 
 
 def _given(scene: Scene, name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
@@ -148,12 +123,7 @@ class ContactSensor:
         self.settled = max(SETTLED * self.small, 1e-15 * max(sizes))
         self.probes = [Probe(finger, obj, self.small) for finger in fingers]
 
-    def measure(
-        self,
-        pose: np.ndarray,
-        twist: np.ndarray,
-        points: np.ndarray,
-    ) -> Measurement:
+    def measure(self, pose: np.ndarray, twist: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Measure all contacts, without the checks of :func:`measured_states`.
 
         Parameters
@@ -165,34 +135,35 @@ class ContactSensor:
 
         Returns
         -------
-        Measurement
+        (n, 40)
+            What each probe has `found`.
         """
         rows = []
         for probe, *seen, point in zip(self.probes, pose, twist, points):
             probe.seen[:] = *np.concatenate(seen), 0, 0, 0, 0
             rows.append(probe.find(point).copy())
-        return Measurement(np.array(rows))
+        return np.array(rows)
 
-    def check(self, measurement: Measurement) -> None:
+    def check(self, found: np.ndarray) -> None:
         """Raise the errors of :func:`measured_states` for a measurement."""
-        for i in range(len(self.scene.contacts)):
+        for i, row in enumerate(found):
             what = f"{self.scene.title}, contact {i}"
-            if abs(measurement.relative[i]) <= CONFORMAL:
+            if abs(row[RELATIVE]) <= CONFORMAL:
                 raise ConformalContact(
                     f"{what}: the surfaces conform to each other at the contact, so a twist does "
                     "not determine where they touch; change a radius or a surface"
                 )
-            if measurement.step[i] > self.settled:
+            if row[STEP] > self.settled:
                 raise ContactSystemError(
                     f"{what}: no common normal of the surfaces was found, the next step is "
-                    f"{measurement.step[i]:.3g} m; give a point nearer to the contact"
+                    f"{row[STEP]:.3g} m; give a point nearer to the contact"
                 )
-            if not np.isfinite(measurement.states[i]).all():
-                at = measurement.points[i].tolist()
+            if not np.isfinite(row[STATES]).all():
                 raise ChartSingularity(
                     f"{what}: measured at a pole, an umbilic or out of sight of an implicit "
-                    f"surface's center, where there is no contact frame ({at[0]} m on the finger, "
-                    f"{at[1]} m on the object); measure nearby, turn the body's axes so that the "
+                    "surface's center, where there is no contact frame "
+                    f"({row[ON_FINGER].tolist()} m on the finger, {row[ON_OBJECT].tolist()} m on "
+                    "the object); measure nearby, turn the body's axes so that the "
                     "pole lies elsewhere, or choose another center"
                 )
 
@@ -207,7 +178,12 @@ class Probe:
         of slip, from 0 at the object's surface to 1 at the finger's; whether slip is known, and
         then v_rel in E2, m/s, which replaces the slip of the twist.
     found : (40,)
-        A row of a Measurement.
+        Not finite where there is no contact frame. Length of the next step of Newton's method, m;
+        det of the relative curvature over its square, 0 where bodies conform; u1 v1 u1' v1' u2 v2
+        u2' v2' psi, principal values; v_rel in E2, m/s; x_1 on the finger and x_2 on the object,
+        each in its body's frame, m; E2, column by column, in the object's frame; K_2, K_1 in E2,
+        1/m; distance along the normal, negative where the bodies overlap, m; velocity of the
+        contact point on the object, in its frame, m/s.
     """
 
     def __init__(self, finger: Surface, obj: Surface, small: float):

@@ -37,15 +37,15 @@ def windows(plan: Plan, contact: int) -> list[tuple[float, float]]:
     return joined
 
 
-def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, np.ndarray]:
+def exact_slip(plan: Plan, contact: int) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,), s, and slip (n,), m/s, by the exact law where nothing disturbs the contact.
 
     |v_rel|(t) = |v_rel|(t0) sigma(t)/sigma(t0) exp(-(L(t) - L(t0))) (eq. `contracaccel`), with t0
     the start of each undisturbed interval. Only the slip at t0 is taken from the plan.
-    The times are ``count`` equally spaced ones and the edges of windows, where there is slip.
+    The times are 25 equally spaced ones and the edges of windows, where there is slip.
     """
     knots = [plan.start, *np.ravel(windows(plan, contact)), plan.end]
-    grid = np.union1d(np.linspace(plan.start, plan.end, count), knots)
+    grid = np.union1d(np.linspace(plan.start, plan.end, 25), knots)
     times, values = [np.empty(0)], [np.empty(0)]
     ways = itertools.product(plan.scene.way(contact), zip(knots[::2], knots[1::2]))
     for (begin, end, _, profile, _), (start, stop) in ways:

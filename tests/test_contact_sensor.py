@@ -10,7 +10,15 @@ from conftest import SURFACES, one_contact
 from oracles.formulas import reflection, slip_of_states
 
 import contact_system as cs
-from contact_system.contact_sensor import ContactSensor
+from contact_system.contact_sensor import (
+    FRAME,
+    GAP,
+    ON_FINGER,
+    ON_OBJECT,
+    SLIP,
+    STATES,
+    ContactSensor,
+)
 
 SCENES = ("K1", "K2", "K3", "K4", "D1", "D3", "C2", "bowl", "torus", "chart", "implicit")
 
@@ -93,14 +101,14 @@ def test_rates_hold_the_slip_measured_at_the_objects_surface():
     pose[:, :3, 3] *= 0.998  # pressed in by 0.28 mm
     sensor = ContactSensor(scene)
     found = sensor.measure(pose[:, :3].reshape(-1, 12), twist, points)
-    assert found.gap == pytest.approx(-0.002 * 0.14, rel=1e-9)
-    of_states = slip_of_states(scene, found.states[None])[0]
-    assert of_states == pytest.approx(found.slip, abs=1e-14)
-    arm = 0.1 * found.frame[:, 2] - pose[:, :3, 3]
+    assert found[:, GAP] == pytest.approx(-0.002 * 0.14, rel=1e-9)
+    frame, slip = found[:, FRAME].reshape(-1, 3, 3), found[:, SLIP]
+    assert slip_of_states(scene, found[None, :, STATES])[0] == pytest.approx(slip, abs=1e-14)
+    arm = 0.1 * frame[:, 2] - pose[:, :3, 3]
     velocity = twist[:, 3:] + np.cross(twist[:, :3], arm)
-    sliding = -np.einsum("nij,nj->ni", found.frame[:, :2], velocity)
-    assert found.slip == pytest.approx(sliding, abs=1e-14)
-    assert np.abs(found.slip).max() > 1e-3
+    sliding = -np.einsum("nij,nj->ni", frame[:, :2], velocity)
+    assert slip == pytest.approx(sliding, abs=1e-14)
+    assert np.abs(slip).max() > 1e-3
 
 
 def near(scene, pose):
@@ -110,7 +118,7 @@ def near(scene, pose):
     probe.seen[:12] = flat
     found = sensor.measure(flat[None], np.zeros((1, 6)), probe.approach()[None])
     sensor.check(found)
-    return found
+    return found[0]
 
 
 def test_a_contact_at_a_pole_leaves_the_others_as_precise_as_ever():
@@ -122,8 +130,8 @@ def test_a_contact_at_a_pole_leaves_the_others_as_precise_as_ever():
     pose, points = pose[:, :3].reshape(2, 12), points + 0.003
     pose[0], points[0] = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0.13], [0, 0, 0.1]
     found = ContactSensor(scene).measure(pose, twist, points)
-    assert np.isnan(found.states[0]).any()
-    assert found.states[1] == pytest.approx(plan.states(0.3)[0, 1], abs=1e-10)
+    assert np.isnan(found[0, STATES]).any()
+    assert found[1, STATES] == pytest.approx(plan.states(0.3)[0, 1], abs=1e-10)
 
 
 @pytest.mark.parametrize("gap", [-1e-4, 1e-3, 1e-2])
@@ -151,10 +159,9 @@ def test_nearest_points_are_found_whatever_the_fingers_shape_and_the_size_it_is_
     pose = cs.plan(scene).pose(0.0)[0, 0].copy()
     pose[:3, 3] += gap * surface.normal(u, v)
     found = near(scene, pose)
-    assert found.points[0] == pytest.approx(
-        np.array([finger.point(*at), surface.point(u, v)]), abs=1e-9
-    )
-    assert found.gap == pytest.approx(gap, abs=1e-9)
+    assert found[ON_FINGER] == pytest.approx(finger.point(*at), abs=1e-9)
+    assert found[ON_OBJECT] == pytest.approx(surface.point(u, v), abs=1e-9)
+    assert found[GAP] == pytest.approx(gap, abs=1e-9)
 
 
 def test_a_contact_on_a_body_a_thousand_times_larger_is_measured():
