@@ -245,6 +245,7 @@ FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(
         (over(paper={"recovery_time": "soon"}), ["recovery_time = 'soon'", "a finite number"]),
         (over(paper=[1]), ["paper = [1]", "table"]),
         (over(drake={"mass": math.nan}), ["drake: mass", "nan"]),
+        (over(drake={"duration": 1.0}), ["drake: key 'duration'", "above all headers"]),
         (contact(finger=0.04), ["finger = 0.04", "Sphere"]),
         (contact(object_at=1.0), ["object_at = 1.0", "two numbers"]),
         (lambda: Profile({0.1, 0.2}), ["profile = {", "list of numbers"]),
@@ -410,7 +411,7 @@ def test_a_file_may_begin_with_a_byte_order_mark_and_have_lines_of_windows(tmp_p
     assert load_scene(tmp_path / "x.toml") == read(GOOD.replace("good", "größer"))
 
 
-number = st.floats(-10, 10)
+number, KEYS = st.floats(-10, 10), st.text().filter(lambda key: key not in vars(small_scene()))
 SURFACES = [
     Plane(),
     Cylinder(0.1),
@@ -430,7 +431,7 @@ SURFACES = [
     st.text(min_size=1),
     st.tuples(number, number),
     st.floats(0, 1e300),
-    st.dictionaries(st.text(), st.one_of(st.text(), number, st.lists(number), st.booleans())),
+    st.dictionaries(KEYS, st.one_of(st.text(), number, st.lists(number), st.booleans())),
 )
 def test_every_float_and_every_text_survives_a_round_trip(surface, text, velocity, eta, table):
     scene = small_scene(

@@ -36,12 +36,11 @@ from ..writing import writing
 from .contact import Contact, Turning
 from .disturbances import DISTURBANCE_KINDS, Disturbance
 from .legs import STILL, Leg
-from .scene import PAPER_NUMBERS, Scene, require_scene
+from .scene import PAPER_NUMBERS, SCENE_KEYS, Scene, refuse_scene_keys, require_scene
 
 if TYPE_CHECKING:
     from ..steering import Goal
 
-_SCENE_KEYS = [field.name for field in dataclasses.fields(Scene) if field.name != "source"]
 _FORMULAS = ("f", "F")  # required in files; in Python ``formula`` may replace them
 
 
@@ -92,7 +91,7 @@ def _scene(text: str, source: str) -> Scene:
     contacts = document.get("contacts")
     all_legs = isinstance(contacts, list) and all("legs" in c for c in contacts if type(c) is dict)
     moved = () if all_legs else ("duration", "profile")
-    table = _table(document, _SCENE_KEYS, (*moved, "object", "contacts"))
+    table = _table(document, SCENE_KEYS, (*moved, "object", "contacts"))
     fields = fields_of({"name": Path(source).stem, **table})
     for i, contact in enumerate(fields["contacts"]):
         with naming(f"contacts[{i}]"):
@@ -191,7 +190,7 @@ _PARTS: dict[str, Callable[[Any], Any]] = {
     "gain": _gain,
     "turning": lambda value: _made(Turning, value),
     "paper": lambda value: _with_numbers(_table(value), PAPER_NUMBERS),
-    "drake": lambda value: _without_the_scenes(_table(value), ("object",)),
+    "drake": lambda value: _table(value),
 }
 _LISTS: dict[str, Callable[[Any], Any]] = {
     "contacts": lambda value: _made(Contact, value),
@@ -211,23 +210,13 @@ def _table(
     if not isinstance(value, dict):
         raise SceneError(f"{value!r} is not a table; write it like {{ {example} }}")
     if known is not None:
-        known_keys(_without_the_scenes(value, known), known, place)
+        refuse_scene_keys(value, known)
+        known_keys(value, known, place)
     for key in required:
         if key not in value:
             remedy = f"a table [[{key}]]" if key in _LISTS else f"{key} = ..."
             raise SceneError(f"{place}key '{key}' is missing; add {remedy}")
     return value
-
-
-def _without_the_scenes(table: dict, own: Iterable[str]) -> dict:
-    """The table; refuses keys of the scene, as TOML gives lines to the table above them."""
-    for key in table:
-        if key in _SCENE_KEYS and key not in own:
-            raise SceneError(
-                f"key '{key}' is no key of this table; that of the scene stands above all "
-                "headers, such as [[contacts]]"
-            )
-    return table
 
 
 def _one_of(word: Any, known: Iterable[str], what: str) -> str:

@@ -10,7 +10,7 @@ import dataclasses
 import json
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -203,6 +203,9 @@ class Scene:
         for key in ("paper", "drake"):
             if getattr(self, key) != {}:
                 put(self, key, _plain_table(getattr(self, key), key))
+        if self.drake:
+            with naming("drake"):
+                refuse_scene_keys(self.drake, ("object",))
         if self.paper:
             known_keys(self.paper, PAPER_KEYS, "paper: ")
             for key, value in self.paper.items():
@@ -306,8 +309,19 @@ def _moved(contact: Contact, surface: Surface, body: str, at: Pair) -> tuple[Con
 
 # --- keys of scene files -----------------------------------------------------------------------
 
+SCENE_KEYS = [field.name for field in dataclasses.fields(Scene) if field.name != "source"]
 PAPER_KEYS = ("figure", "reports", "recovery_time", "lateral_force")
 PAPER_NUMBERS = PAPER_KEYS[2:]
+
+
+def refuse_scene_keys(table: Mapping, own: Iterable[str]) -> None:
+    """Refuse keys of the scene in another table: TOML gives lines to the table above them."""
+    for key in table:
+        if key in SCENE_KEYS and key not in own:
+            raise SceneError(
+                f"key '{key}' is no key of this table; that of the scene stands above all "
+                "headers, such as [[contacts]]"
+            )
 
 
 def _plain_table(table: Any, what: str) -> dict[str, Any]:
