@@ -147,7 +147,8 @@ class StationConfig:
         Coulomb's coefficient, static and dynamic.
     normal_force : float
         N, along the planned normal, with which every finger presses; with ``forces = "balance"`` or
-        a hand at least, and ``stiffness`` is that at the mean force of the plan, as far as it is simulated.
+        a hand at least, and ``stiffness`` is that at the mean force of the plan, as far as it is
+        simulated.
     gravity : float
         m/s^2, towards -z of the world: 9.81, without a sign.
     forces : str or None

@@ -63,7 +63,11 @@ def loop(scene: Scene, angle: float, *, contact: int = 0, seconds: float = 0.0) 
         No path is found, and why.
     """
     require_scene(scene)
-    scene.contact_name(contact)  # raises for a wrong index
+    if contact not in range(len(scene.contacts)):
+        raise SceneError(
+            f"{scene.title}: contact = {contact!r}: give an index from 0 to "
+            f"{len(scene.contacts) - 1}"
+        )
     angle, start = finite_number(angle, "angle"), scene.contacts[contact]
     if not abs(math.remainder(angle, 2 * math.pi)) > 1e-9:
         raise SceneError(f"angle = {angle!r}: that is no turn; give another one, in rad")
