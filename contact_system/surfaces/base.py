@@ -30,7 +30,6 @@ from ..theory.geometry import (
     ChartGeometry,
     Level,
     chart_geometry,
-    revolved_geometry,
 )
 from ..theory.lowering import lowered
 from .charts import Array, Chart, Frame, Pair, Periods
@@ -209,11 +208,7 @@ class Surface:
 
     def geometry_expr(self, numbers: ca.SX, u: ca.SX, v: ca.SX) -> ChartGeometry:
         """Return every metric quantity at (u, v), symbols; see `ChartGeometry`."""
-        shape = chart_geometry(self.chart_expr(numbers, u, v), u, v, self.chart.orthogonal)
-        if self.chart.turning is None:
-            return shape
-        lame, poles = self.chart(numbers[1:]).lame(u, v), bool(self.chart.singular_at)
-        return revolved_geometry(shape, u, v, self.chart.turning, lame, poles)
+        return chart_geometry(self.chart_expr(numbers, u, v), u, v, self.chart.orthogonal)
 
     def geometry_symbols(self, numbers: ca.SX) -> tuple[ca.SX, ChartGeometry]:
         """Return symbols of a place, (u, v) or x, and the geometry there."""

@@ -61,10 +61,9 @@ class Chart:
     Class attributes: `orthogonal` (``f_u . f_v = 0`` everywhere), `periods` of u and v in radians
     or None, `double_cover` ((-u, pi - v) is the same point as (u, v), with both frame axes turned
     by pi), `developable` (T = 0 and constant Lame coefficients), `great_circles` (geodesics are
-    great circles), `central` (every ray from a centre meets the surface once), `turning` (0 or 1:
-    the index of the angle about the axis of a surface of revolution; such a chart has `lame`),
-    `lengths` (whether u and v are lengths, m), `singular_at` (where there is no contact frame, for
-    messages; "" nowhere, None unknown).
+    great circles), `central` (every ray from a centre meets the surface once), `lengths` (whether u
+    and v are lengths, m), `singular_at` (where there is no contact frame, for messages; "" nowhere,
+    None unknown).
     """
 
     orthogonal: ClassVar[bool] = False
@@ -73,7 +72,6 @@ class Chart:
     developable: ClassVar[bool] = False
     great_circles: ClassVar[bool] = False
     central: ClassVar[bool] = False
-    turning: ClassVar[int | None] = None
     lengths: ClassVar[tuple[bool, bool]] = (False, False)
     singular_at: ClassVar[str | None] = None
 
@@ -82,13 +80,6 @@ class Chart:
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         """Return f(u, v), (3, 1), m."""
-        raise NotImplementedError
-
-    def lame(self, u: ca.SX, v: ca.SX) -> Pair:
-        """Return |f_u|, |f_v|, m, of a surface of revolution, free of the angle about its axis.
-
-        The one that vanishes at a pole is negative beyond it.
-        """
         raise NotImplementedError
 
     def coordinates(self, x: ca.SX) -> Pair:

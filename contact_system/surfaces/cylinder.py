@@ -14,7 +14,6 @@ class RoundCylinderChart(Chart):
     """(r cos u, r sin u, v): the circular cylinder, p = (r,)."""
 
     orthogonal = True
-    turning: ClassVar[int | None] = 0
     periods = (TURN, None)
     lengths = (False, True)
     developable = True
@@ -22,9 +21,6 @@ class RoundCylinderChart(Chart):
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         return ca.vertcat(self.p[0] * ca.cos(u), self.p[0] * ca.sin(u), v)
-
-    def lame(self, u: ca.SX, v: ca.SX) -> Pair:
-        return self.p[0], ca.SX(1)
 
     def coordinates(self, x: ca.SX) -> Pair:
         return ca.atan2(x[1], x[0]), x[2]

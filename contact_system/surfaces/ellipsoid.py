@@ -130,7 +130,6 @@ class OblateChart(Chart):
     """(a cos u cos v, a sin u cos v, c sin v): Jacobi's chart in the limit a = b, p = (a, c)."""
 
     orthogonal = True
-    turning = 0
     central = True
     periods = (TURN, None)
     singular_at = "a pole (v = +-pi/2)"
@@ -138,10 +137,6 @@ class OblateChart(Chart):
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         rho = self.p[0] * ca.cos(v)
         return ca.vertcat(rho * ca.cos(u), rho * ca.sin(u), self.p[1] * ca.sin(v))
-
-    def lame(self, u: ca.SX, v: ca.SX) -> Pair:
-        a, c = self.p[0], self.p[1]
-        return a * ca.cos(v), hypot(a * ca.sin(v), c * ca.cos(v))
 
     def coordinates(self, x: ca.SX) -> Pair:
         a, c = self.p[0], self.p[1]
@@ -173,10 +168,6 @@ class ProlateChart(PolarChart):
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         rho = self.p[1] * ca.sin(u)
         return ca.vertcat(self.p[0] * ca.cos(u), rho * ca.cos(v), rho * ca.sin(v))
-
-    def lame(self, u: ca.SX, v: ca.SX) -> Pair:
-        a, b = self.p[0], self.p[1]
-        return hypot(a * ca.sin(u), b * ca.cos(u)), b * ca.sin(u)
 
     def coordinates(self, x: ca.SX) -> Pair:
         a, b = self.p[0], self.p[1]

@@ -57,7 +57,6 @@ class TwoSheetChart(Chart):
 class EllipticCylinderChart(RoundCylinderChart):
     """(a cos u, b sin u, v), p = (a, b)."""
 
-    turning: ClassVar[int | None] = None
     developable = False
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:

@@ -16,7 +16,6 @@ class PolarChart(Chart):
     """r (sin u cos v, sin u sin v, cos u): the sphere, p = (r,)."""
 
     orthogonal = True
-    turning = 1
     central = True
     periods = (None, TURN)
     great_circles = True
@@ -25,9 +24,6 @@ class PolarChart(Chart):
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         rho = self.p[0] * ca.sin(u)
         return ca.vertcat(rho * ca.cos(v), rho * ca.sin(v), self.p[0] * ca.cos(u))
-
-    def lame(self, u: ca.SX, v: ca.SX) -> Pair:
-        return self.p[0], self.p[0] * ca.sin(u)
 
     def coordinates(self, x: ca.SX) -> Pair:
         return ca.atan2(hypot(x[0], x[1]), x[2]), ca.atan2(x[1], x[0])

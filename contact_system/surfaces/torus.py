@@ -16,16 +16,12 @@ class TorusChart(Chart):
     """((R + r cos v) cos u, (R + r cos v) sin u, r sin v), p = (R, r); regular everywhere."""
 
     orthogonal = True
-    turning = 0
     periods = (TURN, TURN)
     singular_at = ""
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         rho = self.p[0] + self.p[1] * ca.cos(v)
         return ca.vertcat(rho * ca.cos(u), rho * ca.sin(u), self.p[1] * ca.sin(v))
-
-    def lame(self, u: ca.SX, v: ca.SX) -> Pair:
-        return self.p[0] + self.p[1] * ca.cos(v), self.p[1]
 
     def coordinates(self, x: ca.SX) -> Pair:
         return ca.atan2(x[1], x[0]), ca.atan2(x[2], hypot(x[0], x[1]) - self.p[0])

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import accumulate
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -124,34 +124,6 @@ def tangent_geometry(
         christoffel=(gamma_u, gamma_v),
         curvature_form=curvature,
         torsion_form=torsion,
-    )
-
-
-def revolved_geometry(
-    shape: ChartGeometry, u: ca.SX, v: ca.SX, turning: int, lame: tuple[ca.SX, ca.SX], poles: bool
-) -> ChartGeometry:
-    """Simplify the metric quantities of a surface of revolution: free of the angle about its axis.
-
-    That angle is u or v for ``turning`` 0 or 1. ``lame``: |f_u|, |f_v| of an orthogonal chart in
-    closed form, as CasADi does not simplify sin^2 + cos^2; one of them changes its sign at poles,
-    if there are any, which does not affect the connection. The rest follows (do Carmo,
-    Differential Geometry, 4-3): Gamma^k_ij, y.x_u = -h_u,v/h_v, y.x_v = h_v,u/h_u.
-    """
-    h_u, h_v = ca.SX(lame[0]), ca.SX(lame[1])
-    (uu, uv), (vu, vv) = (ca.horzsplit(ca.jacobian(h, ca.vertcat(u, v))) for h in (h_u, h_v))
-    lengths = ca.vertcat(h_u, h_v)
-    if poles:
-        lengths[turning] = ca.fabs(lengths[turning])
-    return replace(
-        shape,
-        metric_root=ca.diag(lengths),
-        lame=lengths,
-        christoffel=(
-            symmetric(uu, uv, -h_v * vu / h_u) / h_u,
-            symmetric(-h_u * uv / h_v, vu, vv) / h_v,
-        ),
-        curvature_form=ca.substitute(shape.curvature_form, (u, v)[turning], 0),
-        torsion_form=ca.horzcat(-uv / (h_u * h_v), vu / (h_u * h_v)),
     )
 
 
