@@ -28,7 +28,6 @@ from ..theory.geometry import (
     QUANTITIES,
     ROWS,
     ChartGeometry,
-    Level,
     chart_geometry,
 )
 from ..theory.lowering import lowered
@@ -215,11 +214,11 @@ class Surface:
         place = ca.SX.sym("place", 2)
         return place, self.geometry_expr(numbers, place[0], place[1])
 
-    def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
-        """Return the level function and its derivatives, without the sign of the side."""
+    def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return the level function without the sign of the side, its gradient and Hessian."""
         level = self._level(p, x)
         hessian, gradient = ca.hessian(level, x)
-        return Level.of(level, gradient, hessian)
+        return level, gradient, hessian
 
     def _axes(self, p: ca.SX) -> ca.SX:
         """Return the rotation from the chart's axes to the body's, (3, 3)."""

@@ -13,7 +13,6 @@ from typing import Any, ClassVar
 from ..errors import SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
-from ..theory.geometry import Level
 from .base import OfLengths, Surface
 from .charts import (
     TINY,
@@ -195,12 +194,12 @@ class SecondDegree(Surface):
         raise NotImplementedError
 
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
-        return self.level_geometry(p, x).value
+        return self.level_geometry(p, x)[0]
 
-    def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
+    def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         matrix = self._matrix(p)
         gradient = matrix @ x
-        return Level.of((ca.dot(x, gradient) - 1) / 2, gradient, matrix)
+        return (ca.dot(x, gradient) - 1) / 2, gradient, matrix
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,7 +12,7 @@ from ..checks import shaped_array
 from ..errors import SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
-from ..theory.geometry import Level, contact_frame
+from ..theory.geometry import contact_frame
 from .base import store
 from .charts import TURN, Array, Chart, Frame, Pair, hypot
 from .cylinder import RoundCylinderChart
@@ -190,7 +190,7 @@ class Quadric(SecondDegree):
     def _axes(self, p: ca.SX) -> ca.SX:
         return ca.reshape(p[3:12], 3, 3).T
 
-    def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
+    def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         if self.chart in CYLINDERS:
             # A maps the part of x along the axis to rounding only, which grows with that part
             axis = self._axes(p)[:, 2]

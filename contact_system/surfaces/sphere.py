@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ..theory import symbols as ca
-from ..theory.geometry import Level
 from .base import OfLengths
 from .charts import TURN, Angle, Chart, Frame, Pair, choose, diagonal, hypot, wrap_angle
 
@@ -66,6 +65,3 @@ class Sphere(OfLengths):
 
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
         return (ca.dot(x, x) - p[0] ** 2) / 2
-
-    def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
-        return Level(self._level(p, x), x, ca.SX.eye(3), 1 / p[0] ** 2)

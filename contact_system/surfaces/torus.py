@@ -7,7 +7,6 @@ from typing import ClassVar
 
 from ..errors import SurfaceError
 from ..theory import symbols as ca
-from ..theory.geometry import Level
 from .base import OfLengths
 from .charts import TURN, Angle, Chart, Frame, Pair, diagonal, hypot, wrap_angle
 
@@ -73,6 +72,3 @@ class Torus(OfLengths):
 
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
         return ((hypot(x[0], x[1]) - p[0]) ** 2 + x[2] ** 2 - p[1] ** 2) / 2
-
-    def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
-        return super().level_geometry(p, x)._replace(steepness=1 / p[1] ** 2)

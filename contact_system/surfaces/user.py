@@ -18,7 +18,7 @@ from ..engine.binding import leave, run
 from ..errors import ContactSystemError, SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
-from ..theory.geometry import ChartGeometry, Level, contact_frame, tangent_geometry
+from ..theory.geometry import ChartGeometry, contact_frame, tangent_geometry
 from ..theory.symbols import making_symbols
 from .base import RAY, Surface, positive_length, store
 from .charts import TURN, Array, Chart, Frame, Pair, Periods, hypot
@@ -397,11 +397,11 @@ class ImplicitSurface(UserSurface):
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
         return self.formula(p[3:], x)
 
-    def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
+    def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return those of F over its steepest slope: |grad F|^2 may be too large for a double."""
-        level, gradient, hessian, _ = super().level_geometry(p, x)
+        level, gradient, hessian = super().level_geometry(p, x)
         scale = 1 / ca.norm_inf(gradient)
-        return Level.of(scale * level, scale * gradient, scale * hessian)
+        return scale * level, scale * gradient, scale * hessian
 
     def geometry_symbols(self, numbers: ca.SX) -> tuple[ca.SX, ChartGeometry]:
         x = ca.SX.sym("x", 3)

@@ -109,10 +109,12 @@ class InSpace(Moving):
     def __init__(self, surface: Surface):
         super().__init__(surface)
         self.x, self.first = ca.vertsplit(self.state, [0, 3, 6])
-        self.level = surface.level_geometry(self.numbers[1:], self.x)
+        # the gradient points into a body that is inside
+        self.level, self.gradient, self.hessian = surface.level_geometry(self.numbers[1:], self.x)
+        self._steepness = 1 / ca.dot(self.gradient, self.gradient)
         # grad F x p, and the factor that makes it q = n x p
-        self._across = ca.cross(self.level.gradient, self.first)
-        self._scale = self.numbers[0] * ca.sqrt(self.level.steepness)
+        self._across = ca.cross(self.gradient, self.first)
+        self._scale = self.numbers[0] * ca.sqrt(self._steepness)
         self.place = surface.coordinates_expr(self.numbers, self.x)
         x_axis, y_axis, self.metric_root = surface.frame_expr(self.numbers, self.x)
         self.turn = plane_turn(ca.dot(self.first, x_axis), ca.dot(self.first, y_axis))
@@ -126,20 +128,19 @@ class InSpace(Moving):
         """x' = c1 p + c2 q, p' = -II(p, x') n."""
         velocity = c[0] * self.first + (c[1] * self._scale) * self._across
         # the signs of n and II cancel
-        bend = ca.dot(self.level.hessian @ self.first, velocity) * self.level.steepness
-        return ca.vertcat(velocity, -bend * self.level.gradient)
+        bend = ca.dot(self.hessian @ self.first, velocity) * self._steepness
+        return ca.vertcat(velocity, -bend * self.gradient)
 
     def gauss(self) -> ca.SX:
         """g . adj(H) g / |g|^4 with g = grad F and H = Hess F."""
-        a, b, c = ca.horzsplit(self.level.hessian)
+        a, b, c = ca.horzsplit(self.hessian)
         adjoint = ca.horzcat(ca.cross(b, c), ca.cross(c, a), ca.cross(a, b))
-        gradient = self.level.gradient
-        return ca.dot(gradient, adjoint @ gradient) * self.level.steepness**2
+        return ca.dot(self.gradient, adjoint @ self.gradient) * self._steepness**2
 
     def shape(self) -> ca.SX:
         """K in the parallel frame, (K_pp, K_pq, K_qq)."""
         frame = ca.horzcat(self.first, self.second())
-        k = frame.T @ self.level.hessian @ frame * self._scale
+        k = frame.T @ self.hessian @ frame * self._scale
         return ca.vertcat(k[0, 0], k[0, 1], k[1, 1])
 
     def restore(self) -> ca.SX:
@@ -147,10 +148,9 @@ class InSpace(Moving):
 
         One Newton step along the gradient squares the distance from the surface.
         """
-        level, gradient = self.level, self.level.gradient
         # the gradient at x, not on the surface: so a step from any distance ends on the same side
-        moved = self.x - level.value / ca.dot(gradient, gradient) * gradient
-        normal = ca.substitute(level.gradient, self.x, moved)
+        moved = self.x - self.level * self._steepness * self.gradient
+        normal = ca.substitute(self.gradient, self.x, moved)
         normal /= ca.norm_2(normal)
         first = self.first - ca.dot(self.first, normal) * normal
         return ca.vertcat(moved, first / ca.norm_2(first))

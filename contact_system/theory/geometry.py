@@ -19,7 +19,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from . import symbols as ca
 from .symbols import per_structure
@@ -146,24 +146,6 @@ def upper_inverse(m: ca.SX) -> ca.SX:
     """Return the inverse of an upper triangular 2x2 matrix, term by term."""
     corner = -m[0, 1] / (m[0, 0] * m[1, 1])
     return ca.vertcat(ca.horzcat(1 / m[0, 0], corner), ca.horzcat(0, 1 / m[1, 1]))
-
-
-class Level(NamedTuple):
-    """A level function F and its derivatives at a point of the surface F = 0.
-
-    The sign of the side is not applied: the gradient points into a body that is ``inside``.
-    """
-
-    value: ca.SX
-    gradient: ca.SX
-    hessian: ca.SX
-    steepness: ca.SX
-    """1 / |gradient|^2, valid only on the surface."""
-
-    @classmethod
-    def of(cls, value: ca.SX, gradient: ca.SX, hessian: ca.SX) -> Level:
-        """Return it with the steepness of the gradient."""
-        return cls(value, gradient, hessian, 1 / ca.dot(gradient, gradient))
 
 
 # --- functions of (point, numbers of a surface) --------------------------------------------------
