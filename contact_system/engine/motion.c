@@ -211,12 +211,6 @@ static double longest(const motion_t *m, double tau, double h, double steepest) 
   return h;
 }
 
-/* A step's length, or half of what is left: a short last one costs as much as a long one. */
-static double shared(double h, double left) {
-  if (!(h < left && left < 2.0 * h)) return h;
-  return left < 1.03 * h ? left : 0.5 * left; /* 1.03: the tail that is expected stays in tolerance */
-}
-
 /* Inverse of I + h/2 Q diag(lam), transposed, by Gauss and Jordan in place. In the nodes' order no
    pivots are needed: solutions are right to 3e-14 for gains from 1e-3 to 1e14 per panel that vary by
    10^24 in it, while exchanging rows left 1e-5. */
@@ -437,7 +431,7 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
   }
   double far = 1e-30; /* sizes that the panel spans */
   for (int64_t r = 0; r < m->n; r++) far = fmax(far, fabs(end[r] - m->state[r]) * m->scale[r]);
-  s->h = shared(span * fmin(fmin(ratio, 2.0), m->reach / far), m->length - after);
+  s->h = span * fmin(fmin(ratio, 2.0), m->reach / far);
   s->tau = after, s->begins = 0;
   memcpy(m->state, end, sizeof end);
   return 1;
