@@ -2,6 +2,7 @@
 
 typedef double (*lanes_t)[L];
 typedef void (*twin_t)(double (*restrict r)[L]);
+#define INLINE static inline __attribute__((always_inline))
 
 #include "generated/twins.inc"
 
@@ -61,35 +62,6 @@ static void interpret(const code_t *restrict k, lanes_t r) {
 #define D r[k[1].a]
 #define E r[k[1].b]
 #define F r[k[1].c]
-static void step(const program_t *program) {
-#define ADDRESS(name, ...) [OP_##name] = &&DO_##name,
-  static const void *const go[] = {[OP_END] = &&DO_END,
-                                   OPERATIONS(ADDRESS, ADDRESS, ADDRESS, ADDRESS)};
-  const code_t *restrict k = program->code;
-  double *restrict r = program->registers;
-#define NEXT goto *go[k->op];
-#define SIMPLE(name, value)                                                                        \
-  DO_##name : r[k->to] = (value);                                                                  \
-  k++;                                                                                             \
-  NEXT
-#define SIMPLE2(name, value)                                                                       \
-  DO_##name : r[k->to] = (value);                                                                  \
-  k += 2;                                                                                          \
-  NEXT
-#define CALL1(name, function)                                                                      \
-  DO_##name : r[k->to] = one_##function(A);                                                        \
-  k++;                                                                                             \
-  NEXT
-#define CALL2(name, function)                                                                      \
-  DO_##name : r[k->to] = one_##function(A, B);                                                     \
-  k++;                                                                                             \
-  NEXT
-  NEXT OPERATIONS(SIMPLE, SIMPLE2, CALL1, CALL2) DO_END :;
-}
-#undef SIMPLE
-#undef SIMPLE2
-#undef CALL1
-#undef CALL2
 
 /* d f = sum of partial derivatives times what their operands grow by; what stands still adds
    nothing, whatever its derivative */
@@ -103,8 +75,9 @@ static void grow(double (*d)[L], const code_t *k, const double *partial, int n) 
   memcpy(d[k->to], sum, sizeof sum);
 }
 
-static void along(const program_t *program, double (*d)[L]) {
-  double *r = program->registers;
+/* d: derivatives that are carried along, or NULL */
+INLINE void run_point(const program_t *program, double (*d)[L]) {
+  double *restrict r = program->registers;
 #define PARTIALS(name, ...)                                                                        \
   case OP_##name: {                                                                                \
     const double partial[] = {__VA_ARGS__};                                                        \
@@ -129,7 +102,9 @@ static void along(const program_t *program, double (*d)[L]) {
     r[k->to] = one_##function(A, B);                                                               \
     break;
   for (const code_t *k = program->code; k->op != OP_END; k++) {
-    switch (k->op) { DERIVATIVES(PARTIALS) }
+    if (d) {
+      switch (k->op) { DERIVATIVES(PARTIALS) }
+    }
     switch (k->op) { OPERATIONS(SIMPLE, SIMPLE2, CALL1, CALL2) }
   }
 }
@@ -144,6 +119,9 @@ static void along(const program_t *program, double (*d)[L]) {
 #undef D
 #undef E
 #undef F
+
+static void step(const program_t *program) { run_point(program, NULL); }
+static void along(const program_t *program, double (*d)[L]) { run_point(program, d); }
 
 /* A table with room to run in, its constants and prologue done. Bodies, places and times change
    from run to run, constants seldom. */
@@ -161,7 +139,6 @@ enum { WIDE = 4 };
 enum { WIDE = 2 };
 #endif
 typedef double wide_t __attribute__((vector_size(8 * WIDE), aligned(8), may_alias));
-#define INLINE static inline __attribute__((always_inline))
 #define UNROLL _Pragma("GCC unroll 16")
 enum { PARTS = L / WIDE };
 
