@@ -216,7 +216,7 @@ static double longest(const motion_t *m, double tau, double h, double steepest) 
    10^24 in it, while exchanging rows left 1e-5. */
 static void invert_implicit(const double *lam, double half, double (*a)[L]) {
   for (int i = 0; i < L; i++)
-    for (int j = 0; j < L; j++) a[i][j] = half * lam[i] * gauss_integral[i * L + j] + (i == j);
+    for (int j = 0; j < L; j++) a[i][j] = half * lam[i] * gauss_integral[i][j] + (i == j);
   for (int k = 0; k < L; k++) {
     const double scale = 1.0 / a[k][k];
     double row[L];
@@ -245,7 +245,7 @@ __attribute__((noinline)) static double sweep(work_t *w, const motion_t *m, doub
                     lanes_t *at_f) {
   double y[MAX_STATES][L], g[L], change = 0.0, none = 0.0;
   const lanes_t f = *at_f = rates(w, m, at, x, *at_f);
-  combine(gauss_integral, L, m->n, f[0], L, m->state, half, y[0], L);
+  combine(gauss_integral[0], L, m->n, f[0], L, m->state, half, y[0], L);
   for (int64_t s = m->n - 2; s < m->n && has_v(m); s++) {
     combine(at->inverse[0], L, 1, y[s], L, NULL, 1.0, g, L);
     SIMD for (int i = 0; i < L; i++) y[s][i] = g[i], f[s][i] -= at->lam[i] * g[i];
@@ -299,7 +299,7 @@ static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at
 static void through(const double *start, lanes_t v, double *out) {
   double rise[2][L];
   for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) rise[a][i] = v[a][i] - start[a];
-  combine(gauss_through, L, 2, rise[0], L, NULL, 1.0, out, TERMS);
+  combine(gauss_through[0], L, 2, rise[0], L, NULL, 1.0, out, TERMS);
   for (int a = 0; a < 2; a++) {
     out[a * TERMS] += start[a];
     out[a * TERMS + L] = dot(gauss_through_top, rise[a]);
@@ -310,7 +310,7 @@ static void through(const double *start, lanes_t v, double *out) {
 static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, lanes_t f, double *out,
                           double *end) {
   double error = 0.0, reached[MAX_STATES];
-  combine(gauss_series, L, m->n, f[0], L, NULL, half, out, TERMS);
+  combine(gauss_series[0], L, m->n, f[0], L, NULL, half, out, TERMS);
   for (int64_t r = 0; r < m->n; r++) {
     double *o = out + r * TERMS;
     o[L] = half * dot(gauss_top, f[r]), o[0] += m->state[r];

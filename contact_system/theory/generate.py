@@ -17,10 +17,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..surfaces import KINDS, Surface
 from ..writing import writing
 from .equations import contact_functions
-from .gauss import gauss_include
+from .gauss import gauss_arrays
 from .lowering import OPERATIONS, Table, c_number, lowered
 
 FOLDER = Path(__file__).parents[1] / "engine" / "generated"
@@ -119,18 +121,21 @@ def _column(rows: list[Any]) -> str:
     return "{\n  " + ",\n  ".join(map(initialiser, rows)) + "\n}"
 
 
-def dop853_include() -> str:
-    """Return dop853.inc: stages, result, and two estimates of its error."""
+def dop853_arrays() -> dict[str, Any]:
+    """Return the stages, the result, and two estimates of its error."""
     from scipy.integrate._ivp import dop853_coefficients as dop853
 
     n = dop853.N_STAGES
     arrays = {"stage[STAGES][STAGES]": dop853.A[:n, :n], "result[STAGES]": dop853.B}
-    arrays |= {"error_5[STAGES]": dop853.E5[:n], "error_3[STAGES]": dop853.E3[:n]}
-    rows = [
-        f"static const double dop853_{name} = {initialiser(value.tolist())};\n"
-        for name, value in arrays.items()
-    ]
-    return MARK + "".join(rows)
+    return arrays | {"error_5[STAGES]": dop853.E5[:n], "error_3[STAGES]": dop853.E3[:n]}
+
+
+def constants(method: str, arrays: dict[str, Any]) -> str:
+    """Return the arrays of a method in C, each number rounded once."""
+    return MARK + "".join(
+        f"static const double {method}_{name} = {initialiser(np.array(x, float).tolist())};\n"
+        for name, x in arrays.items()
+    )
 
 
 def generated() -> dict[str, str]:
@@ -140,8 +145,8 @@ def generated() -> dict[str, str]:
         "operations.inc": operations(),
         "tables.inc": writer.tables(),
         "twins.inc": writer.twin_functions(),
-        "gauss.inc": gauss_include(),
-        "dop853.inc": dop853_include(),
+        "gauss.inc": constants("gauss", gauss_arrays()),
+        "dop853.inc": constants("dop853", dop853_arrays()),
     }
 
 
