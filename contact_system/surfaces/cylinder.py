@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from ..theory import symbols as ca
 from .base import OfLengths
-from .charts import TURN, Angle, Chart, Frame, Pair, diagonal, wrap_angle
+from .charts import TURN, Angle, Chart, Pair, wrap_angle
 
 
 class RoundCylinderChart(Chart):
@@ -24,10 +24,6 @@ class RoundCylinderChart(Chart):
 
     def coordinates(self, x: ca.SX) -> Pair:
         return ca.atan2(x[1], x[0]), x[2]
-
-    def frame(self, x: ca.SX) -> Frame:
-        r = self.p[0]
-        return ca.vertcat(-x[1] / r, x[0] / r, 0), ca.SX([0, 0, 1]), diagonal(r, 1)
 
     @staticmethod
     def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:

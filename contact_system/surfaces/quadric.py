@@ -12,9 +12,8 @@ from ..checks import shaped_array
 from ..errors import SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
-from ..theory.geometry import contact_frame
 from .base import store
-from .charts import TURN, Array, Chart, Frame, Pair, hypot
+from .charts import TURN, Array, Chart, Pair
 from .cylinder import RoundCylinderChart
 from .ellipsoid import SecondDegree, ellipsoid_chart, require_thick
 from .plane import FlatChart
@@ -34,14 +33,6 @@ class OneSheetChart(Chart):
     def coordinates(self, x: ca.SX) -> Pair:
         a, b, c = self.p[0], self.p[1], self.p[2]
         return ca.atan2(x[1] / b, x[0] / a), ca.asinh(x[2] / c)
-
-    def frame(self, x: ca.SX) -> Frame:
-        a, b, c = self.p[0], self.p[1], self.p[2]
-        slope = x[2] / c
-        swell = hypot(1, slope)
-        f_u = ca.vertcat(-x[1] * a / b, x[0] * b / a, 0)
-        f_v = ca.vertcat(x[0] * slope / swell, x[1] * slope / swell, c * swell)
-        return contact_frame(f_u, f_v)
 
 
 class TwoSheetChart(Chart):
@@ -64,11 +55,6 @@ class EllipticCylinderChart(RoundCylinderChart):
 
     def coordinates(self, x: ca.SX) -> Pair:
         return ca.atan2(x[1] / self.p[1], x[0] / self.p[0]), x[2]
-
-    def frame(self, x: ca.SX) -> Frame:
-        a, b = self.p[0], self.p[1]
-        f_u = ca.vertcat(-x[1] * a / b, x[0] * b / a, 0)
-        return contact_frame(f_u, ca.SX([0, 0, 1]), self.orthogonal)
 
 
 class HyperbolicCylinderChart(Chart):
