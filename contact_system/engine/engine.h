@@ -15,7 +15,7 @@ enum { L = 16 }; /* lanes: the Gauss points of a panel, or so many times at once
 /* ---- tables: straight-line programs on registers of L lanes ---- */
 
 typedef struct {
-  uint16_t op, to, a, b, c;
+  uint16_t op, to, a, b;
 } code_t;
 
 /* registers: [inputs][constants][literals][results of the prologue][outputs][temporaries];

@@ -9,10 +9,6 @@ typedef void (*twin_t)(double (*restrict r)[L]);
 /* the operations' operands, as operations.inc writes them */
 #define A a[i]
 #define B b[i]
-#define C c[i]
-#define D d[i]
-#define E e[i]
-#define F f[i]
 
 /* gcc unrolls 16 lanes completely and then packs them poorly, but for `omp simd`; clang vectorises
    no loop that a computed goto leads to, hence the switch. */
@@ -20,14 +16,6 @@ static void interpret(const code_t *restrict k, lanes_t r) {
 #define SIMPLE(name, value)                                                                        \
   case OP_##name: {                                                                                \
     SIMD for (int i = 0; i < L; i++) to[i] = (value);                                              \
-    break;                                                                                         \
-  }
-#define SIMPLE2(name, value)                                                                       \
-  case OP_##name: {                                                                                \
-    const double *d = r[k[1].a], *e = r[k[1].b], *f = r[k[1].c];                                   \
-    (void)e, (void)f;                                                                              \
-    SIMD for (int i = 0; i < L; i++) to[i] = (value);                                              \
-    k++;                                                                                           \
     break;                                                                                         \
   }
 #define CALL1(name, function)                                                                      \
@@ -40,34 +28,24 @@ static void interpret(const code_t *restrict k, lanes_t r) {
     break;
   for (; k->op != OP_END; k++) {
     double *to = r[k->to];
-    const double *a = r[k->a], *b = r[k->b], *c = r[k->c];
-    switch (k->op) { OPERATIONS(SIMPLE, SIMPLE2, CALL1, CALL2) }
+    const double *a = r[k->a], *b = r[k->b];
+    switch (k->op) { OPERATIONS(SIMPLE, CALL1, CALL2) }
   }
 }
 #undef SIMPLE
-#undef SIMPLE2
 #undef CALL1
 #undef CALL2
 #undef A
 #undef B
-#undef C
-#undef D
-#undef E
-#undef F
 
 /* The same of one point, with the same bits, a register being one double */
 #define A r[k->a]
 #define B r[k->b]
-#define C r[k->c]
-#define D r[k[1].a]
-#define E r[k[1].b]
-#define F r[k[1].c]
 
 /* d f = sum of partial derivatives times what their operands grow by; what stands still adds
    nothing, whatever its derivative */
 static void grow(double (*d)[L], const code_t *k, const double *partial, int n) {
-  const uint16_t from[6] = {
-      k->a, k->b, k->c, n > 3 ? k[1].a : 0, n > 3 ? k[1].b : 0, n > 3 ? k[1].c : 0};
+  const uint16_t from[2] = {k->a, k->b};
   double sum[L] = {0};
   for (int j = 0; j < n; j++)
     for (int i = 0; i < L; i++)
@@ -88,11 +66,6 @@ INLINE void run_point(const program_t *program, double (*d)[L]) {
   case OP_##name:                                                                                  \
     r[k->to] = (value);                                                                            \
     break;
-#define SIMPLE2(name, value)                                                                       \
-  case OP_##name:                                                                                  \
-    r[k->to] = (value);                                                                            \
-    k++;                                                                                           \
-    break;
 #define CALL1(name, function)                                                                      \
   case OP_##name:                                                                                  \
     r[k->to] = one_##function(A);                                                                  \
@@ -105,20 +78,15 @@ INLINE void run_point(const program_t *program, double (*d)[L]) {
     if (d) {
       switch (k->op) { DERIVATIVES(PARTIALS) }
     }
-    switch (k->op) { OPERATIONS(SIMPLE, SIMPLE2, CALL1, CALL2) }
+    switch (k->op) { OPERATIONS(SIMPLE, CALL1, CALL2) }
   }
 }
 #undef PARTIALS
 #undef SIMPLE
-#undef SIMPLE2
 #undef CALL1
 #undef CALL2
 #undef A
 #undef B
-#undef C
-#undef D
-#undef E
-#undef F
 
 static void step(const program_t *program) { run_point(program, NULL); }
 static void along(const program_t *program, double (*d)[L]) { run_point(program, d); }

@@ -5,9 +5,8 @@ A table is a straight-line program on registers of 16 lanes, made from a CasADi 
 of the prologue, results, temporaries. The prologue computes what depends on constants alone, once
 for each surface; the body computes the rest, at every point.
 
-Equal values are computed once. A product that is used once is fused into its sum. A division by a
-constant, or one of several by the same number, becomes a multiplication by the inverse, which is
-much faster.
+Equal values are computed once. A division by a constant, or one of several by the same number,
+becomes a multiplication by the inverse, which is much faster.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from __future__ import annotations
 import copy
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -36,21 +35,15 @@ class Operation(NamedTuple):
     """One row of the table of operations."""
 
     name: str
-    """As in CasADi's OP_..., except for `FUSED`."""
+    """As in CasADi's OP_..."""
     c: str
-    """C expression of the operands A, B, C (and D, E, F), or the name of a C function."""
+    """C expression of the operands A and B, or the name of a C function."""
     partials: tuple[str, ...]
     """C expressions of the derivatives by each operand."""
     kind: str = "SIMPLE"
-    """"SIMPLE", "SIMPLE2" (with the operands D, E, F in a second row), "CALL1" or "CALL2"."""
-
-    @property
-    def arity(self) -> int:
-        """Number of operands."""
-        return len(self.partials)
+    """"SIMPLE", "CALL1" or "CALL2"."""
 
 
-FUSED = ("FMA", "FMS", "FNMA", "DOT2", "DOT3")
 _CALLS = {
     "SIN": "cos(A)",
     "COS": "-sin(A)",
@@ -78,11 +71,6 @@ OPERATIONS = (
     Operation("SUB", "A - B", ("1.0", "-1.0")),
     Operation("MUL", "A * B", ("B", "A")),
     Operation("DIV", "A / B", ("1.0 / B", "-A / (B * B)")),
-    Operation("FMA", "A * B + C", ("B", "A", "1.0")),
-    Operation("FMS", "A * B - C", ("B", "A", "-1.0")),
-    Operation("FNMA", "C - A * B", ("-B", "-A", "1.0")),
-    Operation("DOT2", "A * B + C * D", ("B", "A", "D", "C"), "SIMPLE2"),
-    Operation("DOT3", "A * B + C * D + E * F", ("B", "A", "D", "C", "F", "E"), "SIMPLE2"),
     Operation("NEG", "-A", ("-1.0",)),
     Operation("INV", "1.0 / A", ("-1.0 / (A * A)",)),
     Operation("SQRT", "sqrt(A)", ("0.5 / sqrt(A)",)),
@@ -171,8 +159,7 @@ def no_operation(op: int, form: str) -> ContactSystemError:
 @cache
 def _names() -> dict[int, str]:
     """CasADi's operation codes -> names of `OPERATIONS`, or of those that `_Values` replaces."""
-    names = [row.name for row in OPERATIONS if row.name not in FUSED]
-    codes = {getattr(ca, f"OP_{name}"): name for name in (*names, "SQ", "TWICE", "HYPOT")}
+    codes = {getattr(ca, f"OP_{name}"): name for name in (*CODES, "SQ", "TWICE", "HYPOT")}
     return codes | {ca.OP_CONSTPOW: "POW"}
 
 
@@ -193,7 +180,6 @@ class _Values:
         self.once = [uses[k] == 1 and not uniform for k, uniform in enumerate(self.uniform)]
         """Whether each value is used once and is not uniform."""
         self._divide()
-        self._fuse()
 
     def put(self, name: str, *operands: Any) -> int:
         """The index of a value, which is added if it is new."""
@@ -237,25 +223,6 @@ class _Values:
                     rows[k] = ("DIV", other, rows[inverse][1])
                     break
 
-    def _fuse(self) -> None:
-        """Put products that are used once into the sums that use them."""
-        rows = self.rows
-        for k, (name, *operands) in enumerate(rows):
-            if name not in ("ADD", "SUB") or self.uniform[k]:
-                continue
-            x, y = operands
-            for fused, other, product in (("FNMA", x, y), ("FMS", y, x)):
-                if rows[product][0] != "MUL" or not self.once[product]:
-                    continue
-                wider = {"MUL": "DOT2", "DOT2": "DOT3"}.get(rows[other][0])
-                if name == "SUB":
-                    rows[k] = (fused, *rows[product][1:], other)
-                elif wider and self.once[other]:
-                    rows[k] = (wider, *rows[other][1:], *rows[product][1:])
-                else:
-                    rows[k] = ("FMA", *rows[product][1:], other)
-                break
-
     def live(self) -> list[int]:
         """Indices of the values that the results need, ascending."""
         needed = set(self.results)
@@ -275,9 +242,8 @@ class Table:
     first_lit, first_out : int
         First registers of the literals and of the results.
     literals : (n_lit,) float64
-    prologue, body : (n, 5) uint16
-        Rows of op, to, a, b, c; the last is all 0. Operations of kind "SIMPLE2" take two rows, with
-        d, e, f in the second.
+    prologue, body : (n, 4) uint16
+        Rows of op, to, a, b; the last is all 0.
     """
 
     def __init__(self, function: ca.Function):
@@ -331,12 +297,12 @@ class Table:
             return held.get(register, f"r[{register}][i]")
 
         lines = list[str]()
-        for op, to, registers in instructions(self.body):
+        for op, to, *registers in self.body[:-1].tolist():
             row = OPERATIONS[op - 1]
-            if not row.kind.startswith("SIMPLE"):
+            if row.kind != "SIMPLE":
                 return None
-            values = dict(zip("ABCDEF", map(operand, registers)))
-            value = re.sub(r"\b[A-F]\b", lambda match: values[match[0]], row.c)  # noqa: B023
+            values = dict(zip("AB", map(operand, registers)))
+            value = re.sub(r"\b[AB]\b", lambda match: values[match[0]], row.c)  # noqa: B023
             lines.append(f"const double t{len(lines)} = {value};")
             held[to] = f"t{len(lines) - 1}"
         lines += [f"r[{to}][i] = {held[to]};" for to in results]
@@ -345,26 +311,8 @@ class Table:
 
 
 def _words(steps: list[Step]) -> np.ndarray:
-    rows = []
-    for name, to, registers in steps:
-        padded = [*registers, 0, 0]
-        rows.append((CODES[name], to, *padded[:3]))
-        if OPERATIONS[CODES[name] - 1].kind == "SIMPLE2":
-            rows.append((0, 0, *padded[3:6]))
-    rows.append((0, 0, 0, 0, 0))
-    return np.array(rows, dtype=np.uint16)
-
-
-def instructions(words: np.ndarray) -> Iterator[tuple[int, int, list[int]]]:
-    """Yield the code, the result's register and the operands' registers of every instruction."""
-    rows = iter(words.tolist())
-    for op, to, *registers in rows:
-        if not op:
-            return
-        row = OPERATIONS[op - 1]
-        if row.kind == "SIMPLE2":
-            registers += next(rows)[2:]
-        yield op, to, registers[: row.arity]
+    rows = [(CODES[name], to, *[*registers, 0][:2]) for name, to, registers in steps]
+    return np.array([*rows, (0, 0, 0, 0)], dtype=np.uint16)
 
 
 def c_number(value: float) -> str:
