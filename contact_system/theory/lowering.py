@@ -175,10 +175,6 @@ class _Values:
         self.constants = [self.put("CONSTANT", i) for i in range(function.numel_in(1))]
         arguments, literal = (self.inputs, self.constants), partial(self.put, "LITERAL")
         self.results = replay(function, arguments, self.apply, literal)[0]
-        uses = Counter(j for row in self.rows if row[0] not in LEAVES for j in row[1:])
-        uses.update(self.results)
-        self.once = [uses[k] == 1 and not uniform for k, uniform in enumerate(self.uniform)]
-        """Whether each value is used once and is not uniform."""
         self._divide()
 
     def put(self, name: str, *operands: Any) -> int:
@@ -215,11 +211,14 @@ class _Values:
     def _divide(self) -> None:
         """Undo inverses that are used once: a division rounds once less."""
         rows = self.rows
+        uses = Counter(j for row in rows if row[0] not in LEAVES for j in row[1:])
+        uses.update(self.results)
         for k, (name, *operands) in enumerate(rows):
             if name != "MUL":
                 continue
             for inverse, other in (operands, operands[::-1]):
-                if rows[inverse][0] == "INV" and self.once[inverse]:
+                is_inverse = rows[inverse][0] == "INV" and not self.uniform[inverse]
+                if is_inverse and uses[inverse] == 1:
                     rows[k] = ("DIV", other, rows[inverse][1])
                     break
 
