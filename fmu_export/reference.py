@@ -1,7 +1,7 @@
 """Reference results inside an FMU: what the exact plan says, for the file to be run against.
 
-They stand where layered standards put their files (FMI 3.0.2, section 2.5.1.5), under the name that
-the draft of FMI-LS-REF has.
+They stand where layered standards put their files (FMI 3.0.2, section 2.5.1.5), with the manifest
+of FMI-LS-REF.
 """
 
 from __future__ import annotations
@@ -24,9 +24,13 @@ ROWS = 51  # times, from the beginning to the end of the scene
 RESULTS = {"points": ("finger.point", "object.point"), "twist": ("twist.angular", "twist.linear")}
 """Of `Plan.evaluate`, those that exist at poles too, and the variables that they are."""
 MANIFEST = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiLayeredStandardManifest xmlns:fmi-ls="http://fmi-standard.org/fmi-ls-manifest"
-  fmi-ls:fmi-ls-name="org.fmi-standard.fmi-ls-ref" fmi-ls:fmi-ls-version="0.1.0-draft"
-  fmi-ls:fmi-ls-description="Reference results of the default experiment: reference.csv"/>
+<fmiReferences xmlns:fmi-ls="http://fmi-standard.org/fmi-ls-manifest"
+  fmi-ls:fmi-ls-name="org.fmi-standard.fmi-ls-ref" fmi-ls:fmi-ls-version="1.0.0-alpha.1"
+  fmi-ls:fmi-ls-description="Layered Standard providing information on related files \
+included in an FMU.">
+  <Related type="text/csv" source="reference.csv" role="result"
+    description="Reference results of the default experiment"/>
+</fmiReferences>
 """
 
 
