@@ -11,7 +11,7 @@ from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
 from . import build
-from .archive import problems_of, target, write_fmu
+from .archive import target, write_fmu
 from .data import scene_data
 from .description import (
     INTERFACES,
@@ -94,5 +94,5 @@ def export_fmu(
         tell(f"taking the library for {platform}")
         files[build.library_place(name, platform, fmi_version)] = build.library(platform, name)
     tell("packing")
-    write_fmu(path, files, moment[:6], problems_of)
+    write_fmu(path, files, moment[:6])
     return path

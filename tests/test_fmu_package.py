@@ -250,18 +250,13 @@ def test_what_cannot_be_written_to_is_told(tmp_path, monkeypatch):
         command("K9")
 
 
-def test_a_file_is_replaced_by_what_is_valid_alone_and_by_the_last_of_two(tmp_path):
+def test_a_file_is_replaced_by_what_is_valid_alone(tmp_path):
     path, moment = tmp_path / "one.fmu", (1970, 1, 1, 0, 0, 0)
     path.write_bytes(b"old")
     with pytest.raises(cs.ContactSystemError, match="one.fmu: fmpy's validation says: "):
-        write_fmu(path, {"modelDescription.xml": WRONG}, moment, validate_fmu)
+        write_fmu(path, {"modelDescription.xml": WRONG}, moment)
     assert path.read_bytes() == b"old"
-
-    def meanwhile(half):
-        write_fmu(path, {"later": b"2"}, moment)
-        return []
-
-    write_fmu(path, {"first": b"1"}, moment, meanwhile)
+    write_fmu(path, {"first": b"1"}, moment)
     (file,) = zipfile.ZipFile(path).infolist()
     assert (file.filename, file.date_time[0]) == ("first", 1980)  # zip's first year
     assert [p.name for p in tmp_path.iterdir()] == ["one.fmu"]
