@@ -41,9 +41,9 @@ _BOTH = {
     "providesAdjointDerivatives",
 }
 _OWN = {
-    ("2.0", "ModelExchange"): "completedIntegratorStepNotNeeded",
+    ("2.0", "ModelExchange"): "",
     ("2.0", "CoSimulation"): "canHandleVariableCommunicationStepSize",
-    ("3.0", "ModelExchange"): "",
+    ("3.0", "ModelExchange"): "needsCompletedIntegratorStep",
     ("3.0", "CoSimulation"): "canHandleVariableCommunicationStepSize mightReturnEarlyFromDoStep "
     "hasEventMode",
 }

@@ -11,7 +11,7 @@ import contact_system as cs
 pytest.importorskip("fmpy")
 
 from fmu_hosts import importers
-from fmu_hosts.blocks import exported
+from fmu_hosts.blocks import close, exported, simulated
 from fmu_hosts.importers import casadi_function
 from fmu_hosts.native import Unavailable
 
@@ -52,6 +52,19 @@ def test_cvode_at_the_files_tolerance_follows_a_path_of_many_turns():
     scene = cs.load_scene("D3")
     run, fmu = importers.fmpy_integrates, exported(scene, "2.0")
     assert importers.off_plan(run, fmu, scene, 256, scene.duration / 256) < 1e-7
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_cvode_restarts_where_a_held_input_jumps(version):
+    times, name = np.linspace(0.0, 1.0, 101), "contact[1].finger.acceleration.u"
+    signal = np.rec.fromarrays([times, np.sin(3 * times)], names=["time", name])
+    given = {"input": signal, "stop_time": 1.0, "output_interval": 0.01, "record_events": False}
+    given |= {"output": ["contact[1].object.point.x"], "relative_tolerance": None}
+    held, solved = (
+        simulated(K4, "FMU", version, fmi_type=kind, **given)["contact[1].object.point.x"]
+        for kind in ("CoSimulation", "ModelExchange")
+    )
+    close(solved, held, 1e-9)
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -42,8 +42,9 @@ static void free_component(component_t *c) {
   free_model(c->model);
 }
 
-/* Nothing is known any more of what was planned. */
+/* Nothing is known any more of what was planned, or of what a solver has done. */
 static void forget(component_t *c) {
+  c->changed = c->follows = 0;
   for (long i = 0; i < c->model->n_contacts; i++) {
     live_t *k = c->live + i;
     drop_plan(c, i);
@@ -123,6 +124,7 @@ static void set_value(component_t *c, unsigned reference, double value) {
   if (reference < c->model->layout[0].at[OF_INPUTS])
     for (long i = 0; i < c->model->n_contacts; i++) c->live[i].prepared = 0;
   c->now->settled = 0;
+  c->changed |= c->now->phase == CONTINUOUS && kind_of(c->model, reference) == INPUT;
 }
 
 /* ---- Model Exchange ---- */
@@ -142,6 +144,7 @@ static status_t set_states(component_t *c, const double *state) {
 }
 
 static status_t get_states(component_t *c, double *state, int rates) {
+  if (rates) c->follows |= c->changed, c->changed = 0;
   for (long i = 0; i < c->model->n_contacts; i++) {
     const layout_t *l = c->model->layout + i;
     const status_t s =

@@ -86,8 +86,9 @@ typedef struct {
   long room;              /* so many */
   const char *unmeasured; /* why what was measured is no place to go on from */
   failure_t failure;
-  const char *called; /* the function of FMI that the importer has called */
-  int uses_events;    /* the importer handles them */
+  const char *called;   /* the function of FMI that the importer has called */
+  int uses_events;      /* the importer handles them */
+  int changed, follows; /* inputs have in continuous time; and the solver has evaluated that */
 } component_t;
 
 /* whether states are given and results follow from them, else plans are */

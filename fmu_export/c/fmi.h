@@ -359,7 +359,10 @@ FMI_EXPORT status_t FMI(CompletedIntegratorStep)(void *instance, BOOLEAN no_retu
                                                  BOOLEAN *enter_event_mode, BOOLEAN *terminate) {
   SYSTEM_ONLY(CONTINUOUS);
   NEEDS(enter_event_mode && terminate);
-  *enter_event_mode = *terminate = 0;
+  /* inputs jump that the solver's evaluations have held: it is to restart */
+  *enter_event_mode = c->changed && !c->follows, *terminate = 0;
+  c->now->jumped |= *enter_event_mode;
+  c->changed = c->follows = 0;
   return OK;
 }
 
