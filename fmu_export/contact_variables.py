@@ -25,9 +25,12 @@ INPUT_GROUPS, STATE_GROUP, DERIVATIVES = 2, 2, 3
 """Of the groups of a contact's numbers: how many are inputs; which are states, derivatives."""
 
 
-def contact_groups(scene: Scene, i: int, starts: np.ndarray, measured: str) -> list[list[Variable]]:
-    """The variables of a scene's contact i in the groups of c/model.h; starts: of the states."""
-    own = _Contact(scene, scene.contacts[i], f"contact[{i + 1}].")
+def contact_groups(
+    scene: Scene, i: int, starts: np.ndarray, measured: str, speed: float | None
+) -> list[list[Variable]]:
+    """The variables of a scene's contact i in the groups of c/model.h; starts: of the states;
+    speed: nominal."""
+    own = _Contact(scene, scene.contacts[i], f"contact[{i + 1}].", speed)
     states = _started(own.states(), starts)
     return [
         own.inputs(),
@@ -66,6 +69,7 @@ class _Contact:
     scene: Scene
     contact: Contact
     stem: str
+    speed: float | None
 
     def rows(
         self,
@@ -186,10 +190,6 @@ class _Contact:
             *self.rows("pose.rotation", CELLS, NONE, matrix),
             *self.rows("pose.position", XYZ, METRE, f"Origin {origin}", size),
         ]
-
-    @property
-    def speed(self) -> float | None:
-        return self.scene.speeds(np.linspace(0.0, self.scene.duration, 33)).max() or None
 
     def outputs(self) -> list[list[Variable]]:
         """Groups of results: slip, twist, pose, points, condition."""

@@ -361,22 +361,22 @@ def terminals(table: Table) -> str:
     ET.SubElement(picture, "CoordinateSystem", box, suggestedScalingFactorTo_mm="0.1")
     ET.SubElement(picture, "Icon", box)
     everything = ET.SubElement(root, "Terminals")
-    for i, group in enumerate(table.groups):
-        own = range(group[0], group[-1])
-        members: dict[str, dict[str, str]] = {}
-        for v in listed(table, "3.0"):
-            if v.reference in own and v.causality in ("input", "output"):
-                name = v.name.replace(f"contact[{i + 1}].", "")
-                kind = "disturbance" if v.causality == "input" else "motion"
-                kind = "measured" if name.startswith("measured.") else kind
-                members.setdefault(kind, {})[v.name] = name.removeprefix("measured.")
-        for kind, names in members.items():
-            said = {"name": f"contact{i + 1}_{kind}", "matchingRule": "bus", "terminalKind": kind}
-            named = table.scene.contacts[i].name or f"Contact {i + 1}"
-            terminal = ET.SubElement(everything, "Terminal", said, description=f"{named}: {kind}")
-            for name, member in names.items():
-                said = {"variableName": name, "memberName": member, "variableKind": "signal"}
-                ET.SubElement(terminal, "TerminalMemberVariable", said)
+    members: dict[tuple[int, str], dict[str, str]] = {}
+    for v in listed(table, "3.0"):
+        if v.causality in ("input", "output"):
+            (number,) = re.findall(r"contact\[(\d+)\]", v.name)
+            name = v.name.replace(f"contact[{number}].", "")
+            kind = "disturbance" if v.causality == "input" else "motion"
+            kind = "measured" if name.startswith("measured.") else kind
+            own = members.setdefault((int(number), kind), {})
+            own[v.name] = name.removeprefix("measured.")
+    for (i, kind), names in members.items():
+        said = {"name": f"contact{i}_{kind}", "matchingRule": "bus", "terminalKind": kind}
+        named = table.scene.contacts[i - 1].name or f"Contact {i}"
+        terminal = ET.SubElement(everything, "Terminal", said, description=f"{named}: {kind}")
+        for name, member in names.items():
+            said = {"variableName": name, "memberName": member, "variableKind": "signal"}
+            ET.SubElement(terminal, "TerminalMemberVariable", said)
     return xml_text(root)
 
 

@@ -148,8 +148,9 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
     first |= {key: add(own) for key, own in zip(bodies, surfaces)}
     first["windows"] = add(_window_rows(scene))
     system, groups = SceneSystem(scene, "frame", True), []
+    speed = scene.speeds(np.linspace(0.0, scene.duration, 33)).max() or None
     for i, own in enumerate(system.state_slices):
-        described = contact_groups(scene, i, system.x0[own], measured)
+        described = contact_groups(scene, i, system.x0[own], measured, speed)
         groups.append([*map(add, described), len(rows)])
     table = Table(scene, rows, first, groups, arrays, measured)
     for i in range(len(groups)):

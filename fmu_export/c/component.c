@@ -120,9 +120,9 @@ static status_t check_value(component_t *c, unsigned reference, double value) {
 static void set_value(component_t *c, unsigned reference, double value) {
   if (c->value[reference] == value) return;
   c->value[reference] = value;
-  forget_values(c);
-  if (reference < c->model->layout[0].at[OF_INPUTS])
-    for (long i = 0; i < c->model->n_contacts; i++) c->live[i].prepared = 0;
+  const long owner = c->model->owners[reference], first = owner < 0 ? 0 : owner;
+  const long last = owner < 0 ? c->model->n_contacts - 1 : owner;
+  for (long i = first; i <= last; i++) c->live[i].valid = 0, c->live[i].prepared &= owner >= 0;
   c->now->settled = 0;
   c->changed |= c->now->phase == CONTINUOUS && kind_of(c->model, reference) == INPUT;
 }

@@ -95,13 +95,16 @@ static void lay_out(model_t *m) {
     m->n_states += l->states;
   }
   const char *name = (const char *)section(m, D_NAMES);
-  for (long r = 0; r < m->n_values; r++, name += strlen(name) + 1) m->names[r] = name;
+  for (long r = 0, i = -1; r < m->n_values; r++, name += strlen(name) + 1) {
+    if (i + 1 < m->n_contacts && r == m->layout[i + 1].at[0]) i++;
+    m->names[r] = name, m->owners[r] = i;
+  }
 }
 
 static void free_model(model_t *m) {
   if (!m) return;
   free(m->data), free(m->surfaces), free(m->own), free(m->tables), free(m->layout), free(m->names);
-  free(m);
+  free(m->owners), free(m);
 }
 
 /* Returns NULL and says why where there is no scene that fits. */
@@ -125,8 +128,9 @@ static model_t *read_model(const char *resources, const char **wrong) {
   m->tables = calloc(surfaces * each + 2 * (size_t)m->n_contacts, sizeof *m->tables);
   m->layout = calloc((size_t)m->n_contacts, sizeof *m->layout);
   m->names = calloc((size_t)m->n_values, sizeof *m->names);
+  m->owners = calloc((size_t)m->n_values, sizeof *m->owners);
   *wrong = "no memory";
-  if (!m->surfaces || !m->own || !m->tables || !m->layout || !m->names) goto refused;
+  if (!m->surfaces || !m->own || !m->tables || !m->layout || !m->names || !m->owners) goto refused;
   read_surfaces(m);
   lay_out(m);
   *wrong = NULL;

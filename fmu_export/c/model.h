@@ -138,6 +138,7 @@ typedef struct {
   const table_t *systems;
   layout_t *layout;
   const char **names;
+  long *owners; /* contacts of all values; -1: of all contacts */
   long n_contacts, n_values, n_states, n_windows;
 } model_t;
 

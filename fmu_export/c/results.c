@@ -91,18 +91,10 @@ static unsigned group_of(const component_t *c, long i, long reference) {
   return BIT(g) & ALL_RESULTS;
 }
 
-/* The contact whose value this is, or -1 */
-static long owner_of(const model_t *m, long reference) {
-  if (reference < m->layout[0].at[0]) return -1;
-  long i = 0;
-  while (reference >= m->layout[i].at[GROUPS]) i++;
-  return i;
-}
-
 /* The first of these values that there is not; count where there are all */
 static long without_value(const component_t *c, unsigned reference, const double *value,
                           long count) {
-  const long owner = owner_of(c->model, reference);
+  const long owner = c->model->owners[reference];
   long i = 0;
   for (; i < count; i++) {
     if (fabs(value[i]) <= 1e200) continue; /* tables divide an acceleration by 1e-300 at rest */
@@ -117,7 +109,7 @@ static long without_value(const component_t *c, unsigned reference, const double
 static status_t refuse(component_t *c, unsigned reference) {
   const memory_t *now = c->now;
   const char *what = c->model->names[reference];
-  const long i = owner_of(c->model, reference);
+  const long i = c->model->owners[reference];
   if (past_end(c))
     return report(
         c, DISCARD,
@@ -135,7 +127,7 @@ static status_t refuse(component_t *c, unsigned reference) {
 }
 
 static status_t get_values(component_t *c, unsigned reference, long count, double *value) {
-  const long i = owner_of(c->model, reference);
+  const long i = c->model->owners[reference];
   if (i >= 0) {
     const unsigned group = group_of(c, i, reference);
     const int stuck = group && !SYSTEM(c->now) ? settle(c) : 0;
