@@ -35,9 +35,7 @@ enum { U1, V1, DU1, DV1, U2, V2, DU2, DV2, PSI, N_STATES };
 typedef struct {
   double begin, end; /* s; planned so far; negative: how far it is to be planned */
   double gain, acting[DISTURBANCES];
-  double trigger;  /* that has last been heard */
-  double measured; /* 1: it began where it was measured, at these states */
-  double states[N_STATES];
+  double trigger;           /* that has last been heard */
   double row[CONTACT_SIZE]; /* of the engine: K_MOMENT, K_FRAMES, and K_PLACE_1 and on */
 } segment_t;
 

@@ -7,9 +7,6 @@ static int pushed_at_rest(const component_t *c, long i) {
   return 0;
 }
 
-/* of a body's size: so near to where it was measured a contact is on the same side of its charts */
-#define NEARBY 0.02
-
 /* places among the inputs of what is measured: behind the trigger states, or twist and pose, that
    as the rows of a rotation and a position */
 enum { TRIGGER, MEASURED };
@@ -58,30 +55,6 @@ static const char *sense(component_t *c, long i, const table_t *t, double *r, co
                "measure a moment later";
 }
 
-/* States of contact i that tell on which side of a chart it is, and points from where to look for
-   it: as planned for now, but states from where it was measured a moment ago, which saves most of
-   the time. Returns whether there are any. */
-static int find_nearby(component_t *c, long i, double sigma, double states[N_STATES],
-                       double points[6]) {
-  const segment_t *s = c->segment + i;
-  const double *row = s->row, since = c->now->acts_at - s->begin;
-  double *out[N_OUTPUTS] = {[STATES] = states, [POINTS] = points};
-  int near = s->measured != 0.0;
-  for (int side = 0; side < 2; side++) {
-    const double *w = row + (side ? K_Y : K_W1);
-    near &=
-        hypot(w[0], w[1]) * sigma * since < NEARBY * body_of_contact(c->model, i, side)[Q_LENGTH];
-  }
-  if (near) {
-    memcpy(states, s->states, sizeof s->states);
-    for (int side = 0; side < 2; side++)
-      for (int a = 4 * side; a < 4 * side + 2; a++) states[a] += since * states[a + 2];
-    if (!points) return 1;
-    out[STATES] = NULL;
-  }
-  return !cover(c, i, c->now->acts_at) && !look_at(c, i, time_on(c, i), out);
-}
-
 /* The segment s of contact i begins now at these states; root: of the metrics, column by column.
    Returns what is wrong, or NULL. */
 static const char *begin_at(component_t *c, long i, segment_t *s, const double x[N_STATES],
@@ -103,8 +76,7 @@ static const char *begin_at(component_t *c, long i, segment_t *s, const double x
   to[K_PLACE_1 + 2] = -x[PSI];
   to[K_W1] = cs * w[0] - sn * w[1], to[K_W1 + 1] = sn * w[0] + cs * w[1];
   memcpy(to + K_Y, moved[1], 2 * sizeof *x);
-  memcpy(s->states, x, sizeof s->states);
-  s->begin = c->now->acts_at, s->measured = 1.0;
+  s->begin = c->now->acts_at;
   return NULL;
 }
 
@@ -119,7 +91,9 @@ static const char *begin_measured(component_t *c, long i, segment_t *s) {
   if (!(sigma > 0))
     return "sigma is zero, so that rates do not determine path velocities; measure while sigma > 0";
   for (int side = 0; side < 2; side++) sided |= surface_of(c->model, i, side)->double_cover;
-  if (sided) sided = find_nearby(c, i, sigma, planned, posed ? points : NULL);
+  /* the plan tells on which side of a chart it is, and where to begin to look for it */
+  double *out[N_OUTPUTS] = {[STATES] = planned, [POINTS] = posed ? points : NULL};
+  if (sided) sided = !cover(c, i, c->now->acts_at) && !look_at(c, i, time_on(c, i), out);
   if (posed && !sided) return "its plan has no coordinates there; measure a moment later";
   double *r = load_sensor(c, i, t);
   if (!r) return "there is no memory";

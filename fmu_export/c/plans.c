@@ -99,7 +99,7 @@ static int go_on(component_t *c, long i, plan_t *plan, double t, segment_t *s) {
   double m[MOMENT_SIZE];
   if (moment_at(c, plan, t, m)) return 1;
   double *to = s->row;
-  s->begin = t, s->measured = 0.0;
+  s->begin = t;
   to[K_MOMENT] = 1.0, to[K_FRAMES] = 0.0;
   for (int side = 0; side < 2; side++)
     if (surface_of(c->model, i, side)->ambient[A_MOTION]) to[K_FRAMES] += 1 << side;

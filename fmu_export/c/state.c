@@ -3,7 +3,7 @@
 #define SAVED_MARK                                                                                 \
   0x53544341544e4f43ULL /* CONTACTS; not 0, as importers look at the first word                    \
                          */
-#define STATE_VERSION 9ULL
+#define STATE_VERSION 10ULL
 
 static size_t memory_size(const model_t *m) {
   return sizeof(memory_t) + (size_t)m->n_values * sizeof(double) +
