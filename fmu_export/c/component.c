@@ -48,7 +48,7 @@ static void forget(component_t *c) {
   for (long i = 0; i < c->model->n_contacts; i++) {
     live_t *k = c->live + i;
     drop_plan(c, i);
-    k->valid = k->asked = k->before = 0, k->prepared = 0;
+    k->valid = 0, k->prepared = 0;
   }
 }
 
@@ -161,10 +161,7 @@ static void set_time(component_t *c, double time) {
   if (c->now->time == time && c->value[TIME_VALUE] == time) return;
   c->now->time = c->value[TIME_VALUE] = time;
   if (c->now->stepping) c->now->acts_at = snapped(c, time, 1);
-  for (long i = 0; i < c->model->n_contacts; i++) {
-    live_t *k = c->live + i;
-    k->before = k->asked, k->asked = 0, k->valid = 0;
-  }
+  forget_values(c);
 }
 
 #include "steps.c"

@@ -61,11 +61,11 @@ typedef struct {
 typedef struct {
   plan_t *plan; /* of its segment */
   int anchored;
-  unsigned valid, asked, before; /* groups that belong to time and inputs; that were asked for */
-  double *registers;             /* of its equations */
-  int prepared;                  /* their prologue has run, */
-  long leg;                      /* on this leg */
-  double theta;                  /* of the object's frame, at the states */
+  unsigned valid;    /* groups that belong to time and inputs */
+  double *registers; /* of its equations */
+  int prepared;      /* their prologue has run, */
+  long leg;          /* on this leg */
+  double theta;      /* of the object's frame, at the states */
 } live_t;
 
 typedef struct {

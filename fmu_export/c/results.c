@@ -52,7 +52,7 @@ static void find_rates(component_t *c, long i, unsigned groups) {
     memcpy(c->value + l->at[OF_RATES], found, (size_t)l->states * sizeof *found);
 }
 
-/* Brings groups of contact i up to date; with them goes what was asked for at the time before. */
+/* Brings groups of contact i up to date. */
 static status_t find(component_t *c, long i, unsigned groups) {
   live_t *k = c->live + i;
   if (SYSTEM(c->now)) {
@@ -64,17 +64,13 @@ static status_t find(component_t *c, long i, unsigned groups) {
   }
   const unsigned rates = BIT(OF_RATES), states = BIT(OF_STATES);
   if (groups & rates) groups |= states;
-  k->asked |= groups & ~k->valid;
   const unsigned missing = groups & ~k->valid, asked = missing & ~rates;
-  const unsigned more = (k->before & ~k->valid & ~rates) | asked; /* in one pass */
   if (asked) {
     if (!k->plan && cover(c, i, c->now->time))
       return refuse_motion(c, DISCARD, i, "values", c->now->time);
     /* at a pole or an umbilic there are values of what comes a moment before */
     const double t = time_on(c, i), before = t - 1e-8 * (t - c->segment[i].begin);
-    if (more != asked && !look(c, i, t, more))
-      k->valid |= more & ~BIT(OF_CONDITION);
-    else if (look(c, i, t, asked) && look(c, i, before, asked))
+    if (look(c, i, t, asked) && look(c, i, before, asked))
       no_values(c, i, missing | (missing & states ? rates : 0));
   }
   if (missing & (rates | BIT(OF_CONDITION))) find_rates(c, i, missing);
@@ -136,7 +132,6 @@ static status_t get_values(component_t *c, unsigned reference, long count, doubl
       const status_t s = find(c, i, group);
       if (s) return s;
     }
-    c->live[i].asked |= group;
   }
   memcpy(value, c->value + reference, (size_t)count * sizeof *value);
   const long wrong = without_value(c, reference, value, count);

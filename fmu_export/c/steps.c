@@ -35,16 +35,15 @@ static const char *place_contact(component_t *c, long i) {
   return NULL;
 }
 
-/* Looks at the contact beyond each edge of its own, so that steps allocate nothing. */
+/* Looks at the contact beyond each edge of its own, then now, so that steps allocate nothing. */
 static void warm(component_t *c, long i) {
   const double at = c->now->acts_at;
-  look(c, i, time_on(c, i), ALL_RESULTS);
-  for (long k = 0; k < n_edges(c->model); k++) {
-    if (k < 2 * c->model->n_windows && (long)window_of(c, k / 2)[V_CONTACT] != i) continue;
-    c->now->acts_at = edge_of(c, k);
-    look(c, i, time_on(c, i), ALL_RESULTS);
+  for (long k = n_edges(c->model); k >= 0; k--) {
+    if (k && k <= 2 * c->model->n_windows && (long)window_of(c, (k - 1) / 2)[V_CONTACT] != i)
+      continue;
+    c->now->acts_at = k ? edge_of(c, k - 1) : at;
+    for (int g = OF_STATES; g < GROUPS; g++) look(c, i, time_on(c, i), BIT(g));
   }
-  c->now->acts_at = at;
 }
 
 static status_t try_start(component_t *c) {
