@@ -29,8 +29,7 @@ def write_fmu(
     If fmpy's validation has something to say of an FMU's description, nothing is replaced. Names
     are left out, on whose grammar it spends nearly all its time.
     """
-    # zip knows the years 1980 to 2107 only
-    stamp = min(max(moment, (1980, 1, 1, 0, 0, 0)), (2107, 12, 31, 23, 59, 58))
+    stamp = max(moment, (1980, 1, 1, 0, 0, 0))  # zip's first year
     with writing(path) as file:
         with zipfile.ZipFile(file, "w") as archive:
             for name in sorted(files):

@@ -25,7 +25,6 @@ from fmpy.model_description import read_model_description
 
 from contact_system.checks import flag, function_or_none
 from contact_system.engine.binding import LIBRARY
-from contact_system.errors import SceneError
 from contact_system.scene import Scene, require_scene
 
 from .build import library_place
@@ -79,8 +78,6 @@ class _Slave:
         **described: Any,
     ):
         require_scene(scene)
-        if not isinstance(name, str):
-            raise SceneError(f"name = {name!r:.80}: give a text")
         logger = function_or_none(logger, "logger", "a function of a status, a category and a text")
         self.scene, self._logger, self._said = scene, logger or _log, ""
         self._folder = tempfile.TemporaryDirectory(prefix="contact-system-")

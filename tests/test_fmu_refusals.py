@@ -67,7 +67,7 @@ def test_wrong_values_are_refused_by_name_value_and_remedy_and_the_instance_live
 
 
 TURNED = cs.Quadric([[30.0, 5.0, 0.0], [5.0, 40.0, 0.0], [0.0, 0.0, 100.0]])
-RINGED = one_contact(TURNED, cs.Torus(0.05, 0.02)).replace(name="a*/b\x01\u00e9")
+RINGED = one_contact(TURNED, cs.Torus(0.05, 0.02)).replace(name="a*/b\u00e9")
 OF_QUADRIC = next(v.name for v in variable_table(RINGED).rows if v.name.startswith("object."))
 
 
@@ -198,8 +198,7 @@ def test_what_is_refused_is_told_though_logging_is_off(kind, version, caplog):
 
 
 def test_options_of_the_wrong_kind_are_refused():
-    wrongs = (("name", 3), ("logger", "log"), ("event_mode", "no"), ("early_return", None))
-    for option, wrong in wrongs:
+    for option, wrong in (("logger", "log"), ("event_mode", "no"), ("early_return", None)):
         with pytest.raises(cs.ContactSystemError, match=f"{option} = {wrong!r}: give "):
             PlannerSlave3(one_contact(), **{option: wrong})
 
