@@ -475,7 +475,7 @@ def test_state_bytes_that_do_not_fit_are_refused(kind, version):
     one.refused("it was written by another version", one.read, old)
     theirs = other.state()
     for call in (lambda: one.restore(theirs, 0.0), lambda: one.free(theirs)):
-        one.refused("another (model|scene)'?s?|no such state", call)
+        one.refused("another model's", call)
     one.step(0.1)
 
 

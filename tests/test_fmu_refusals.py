@@ -134,7 +134,7 @@ def test_wrong_steps_are_refused_and_the_instance_lives(kind, version):
     for step in (-0.1, 0.0, math.nan):
         one.refused("give a positive", one.own.doStep, 0.5, step)
     for time in (0.4, 0.5 + 1e-6):
-        one.refused("instance (stands|is) at t = 0.5", one.own.doStep, time, 0.1)
+        one.refused("instance stands at t = 0.5", one.own.doStep, time, 0.1)
     one.own.doStep(0.5 + 1e-12, 0.1)  # importers add up steps
     for start, stop in ((-1.0, None), (math.nan, None), (1.0, 0.5)):
         other = Instance(K1, kind, version)
@@ -144,14 +144,13 @@ def test_wrong_steps_are_refused_and_the_instance_lives(kind, version):
 @of_blocks
 def test_calls_out_of_order_are_refused(kind, version):
     one = Instance(K1, kind, version)
-    order = "in the state '{}', only in: |not allowed in the state '{}'"
-    for state in ("instantiated", "step mode|initialized", "terminated"):
-        words = "|".join(order.format(part, part) for part in state.split("|"))
+    for state in ("instantiated", "step mode", "terminated"):
+        words = f"not allowed in the state '{state}', only in: "
         if state == "terminated":
             one.own.terminate()
         if state != "instantiated":
-            one.refused("state '", one.own.enterInitializationMode)
-        if not state.startswith("step"):
+            one.refused(words, one.own.enterInitializationMode)
+        if state != "step mode":
             one.refused(words, one.own.doStep, 0.0, 0.1)
             one.refused(words, one.own.exitInitializationMode)
         if state == "instantiated":
@@ -221,7 +220,7 @@ def test_sigma_that_falls_from_zero_is_refused_at_the_start(kind, version):
     one.refused("is negative", lambda: one.begin(start=start))
     late = Instance(K1, kind, version)
     late.put(LINE)
-    late.refused("is negative from t = 1.5 s on|is negative", late.begin, 1.6)
+    late.refused("is negative from t = 1.6 s on", late.begin, 1.6)
     short = Instance(K1.replace(duration=1e-3), kind, version)
     short.put(LINE)
     short.begin().refused("is negative from t = 1.5 s on", short.step, 2.0)
@@ -286,7 +285,7 @@ def test_after_a_step_that_failed_a_shorter_one_may_be_tried(kind, version):
     one.step(0.5)
     before = one.everything()
     for _ in range(2):
-        one.refused("(?s)status 2.*sigma (is zero|= 0)", one.step, 0.5)
+        one.refused("(?s)status 2.*sigma is zero", one.step, 0.5)
         assert np.array_equal(one.everything(), before)
     one.step(0.4)
     window = cs.FingerAcceleration(0, 0.0, 0.9, (0.1, 0.0))
@@ -321,7 +320,7 @@ def test_an_acceleration_of_a_path_at_rest_is_taken_and_the_step_refused(
     for _ in range(2):
         seen = one.get(*(f"contact[1].{name}" for name in coordinates))
         close(seen, expected.states(at)[0, 0, [0, 1, 4, 5, 8]])
-        one.refused(r"sigma (is zero|= 0)", one.own.doStep, at, 0.1)
+        one.refused("sigma is zero", one.own.doStep, at, 0.1)
     one.restore(one.read(one.written(kept)), at).put({PUSH: 0.0})
     assert one.get(rate) == pytest.approx([0.0], abs=1e-15)
     one.step(0.1)
