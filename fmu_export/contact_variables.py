@@ -10,6 +10,7 @@ import numpy as np
 
 from contact_system.scene import Contact, Scene
 from contact_system.surfaces import Surface
+from contact_system.theory.gain import LAWS
 
 from .model import frame_sizes
 from .quantities import METRE, NONE, RADIAN, SECOND, Unit, Variable, chart_units, per_second
@@ -59,6 +60,7 @@ def _derivative(state: Variable) -> Variable:
         initial="calculated",
         start=(),
         nominal=None,
+        jumps=False,
     )
 
 
@@ -155,11 +157,12 @@ class _Contact:
             ):
                 text = f"{text} of the {carried}"
                 rows += self.rows(f"{stem}.{name}", XYZ, unit, text, nominal, STATE)
-        for name, text in (
-            ("velocity", "Path velocity of the finger's contact point in its carried frame"),
-            ("slip", "Slip over sigma in the object's carried frame"),
-        ):
-            rows += self.rows(f"frame.{name}", XY, NONE, text, SMALL, STATE)
+        turns, stops = bool(self.contact.legs), bool(LAWS[self.scene.gain.law].makes_up)
+        moving = "Path velocity of the finger's contact point in its carried frame"
+        slipping = "Slip over sigma in the object's carried frame"
+        for name, jumps, text in (("velocity", turns, moving), ("slip", stops, slipping)):
+            own = self.rows(f"frame.{name}", XY, NONE, text, SMALL, STATE)
+            rows += [replace(v, jumps=jumps) for v in own]
         return rows
 
     def coordinates(self) -> list[Variable]:

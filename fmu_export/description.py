@@ -78,7 +78,8 @@ def model_description(
     experiment = {"startTime": "0", "stopTime": _number(horizon), "tolerance": "1e-13"}
     ET.SubElement(root, "DefaultExperiment", experiment, stepSize=_number(horizon / steps))
     variables = ET.SubElement(root, "ModelVariables")
-    variables.extend(_variable(v, fmi_version) for v in listed(table, fmi_version))
+    exchange = "ModelExchange" in interfaces
+    variables.extend(_variable(v, fmi_version, exchange) for v in listed(table, fmi_version))
     root.append(_structure(table, fmi_version))
     token = "guid" if fmi_version == "2.0" else "instantiationToken"
     root.set(token, _TOKEN)
@@ -208,7 +209,7 @@ def _type_definitions(table: Table, fmi_version: str) -> ET.Element:
 # --- variables -----------------------------------------------------------------------------------
 
 
-def _variable(variable: Variable, fmi_version: str) -> ET.Element:
+def _variable(variable: Variable, fmi_version: str, exchange: bool) -> ET.Element:
     common = {
         "name": variable.name,
         "valueReference": str(variable.reference),
@@ -224,6 +225,7 @@ def _variable(variable: Variable, fmi_version: str) -> ET.Element:
         "min": None if variable.minimum is None else _number(variable.minimum),
         "nominal": None if variable.nominal is None else _number(variable.nominal),
         "start": " ".join(map(_number, variable.start)) or None,
+        "reinit": "true" if exchange and variable.jumps else None,
     }
     given = {name: value for name, value in numeric.items() if value is not None}
     if fmi_version == "2.0":

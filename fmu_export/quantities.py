@@ -39,6 +39,8 @@ class Variable:
     minimum, nominal : float or None
     derivative : int or None
         Reference of the variable whose time derivative this is.
+    jumps : bool
+        Whether events change it, a state.
     known : tuple of int
         References of the scalars that it depends on, itself left out: inputs, states, parameters,
         time. Empty where the value is not a result.
@@ -57,6 +59,7 @@ class Variable:
     minimum: float | None = None
     nominal: float | None = None
     derivative: int | None = None
+    jumps: bool = False
     known: tuple[int, ...] = ()
 
     @property

@@ -129,6 +129,15 @@ def test_fmpy_reads_back_what_the_table_says(version, arrays, written):
         assert read.modelExchange.canNotUseMemoryManagementFunctions
 
 
+@of_versions
+def test_states_that_events_change_are_told_in_model_exchange(version):
+    table = variable_table(cs.load_scene("R1").replace(gain=cs.Gain.guaranteed(1.0)))
+    rows = ET.fromstring(model_description(table, version)).find("ModelVariables")
+    told = [v.get("name") for v in rows if any(e.get("reinit") == "true" for e in v.iter())]
+    assert told == [f"contact[1].frame.{n}.{a}" for n in ("velocity", "slip") for a in "xy"]
+    assert "reinit" not in model_description(table, version, ("CoSimulation",))
+
+
 @pytest.mark.parametrize("interfaces", [BOTH, ("CoSimulation",)], ids=" ".join)
 @of_versions
 def test_whatever_moves_an_output_or_a_derivative_is_listed(version, interfaces, written):
