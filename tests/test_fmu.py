@@ -23,7 +23,8 @@ of_blocks = pytest.mark.parametrize(("kind", "version"), BLOCKS)
 of_kinds = pytest.mark.parametrize("kind", ["FMU", "slave"])
 of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])
 K1 = cs.load_scene("K1")
-SCENES = {name: cs.load_scene(name) for name in ("K2", "K3", "K4", "D1", "C1", "C2", "chart")}
+NAMES = ("K2", "K3", "K4", "D1", "C1", "C2", "chart", "implicit")
+SCENES = {name: cs.load_scene(name) for name in NAMES}
 R1 = cs.load_scene("R1")
 SLIPPING = dataclasses.replace(R1.contacts[0], object_velocity=(0.3, -0.4))
 STRAIGHT = dataclasses.replace(SLIPPING, legs=(), finger_velocity=(1.0, 0.0))
@@ -117,6 +118,7 @@ def test_paths_close_to_umbilics_stay_on_their_branch(scene, step):
     ("name", "version"),
     [
         *(("K2", "2.0"), ("K4", "3.0"), ("C1", "2.0"), ("rest", "2.0"), ("touch", "3.0")),
+        ("implicit", "2.0"),
         *(("short legs", "2.0"), ("short legs", "3.0")),
         *(("legs", "3.0"), ("guaranteed legs", "2.0"), ("edges of one time", "2.0")),
     ],
@@ -127,20 +129,6 @@ def test_model_exchange_with_cvode_follows_the_plan(name, version):
     result = simulated(scene, "FMU", version, output_interval=0.05, step_size=0.05, **options)
     wanted = cs.plan(scene).states(np.minimum(result["time"], scene.duration))
     close(simulated_states(result, wanted), wanted, 1e-7)
-
-
-@of_versions
-@pytest.mark.parametrize("name", ["implicit", "D1", "K4"])
-def test_both_interfaces_follow_the_plan_past_poles(name, version):
-    scene = cs.load_scene(name)
-    plan = cs.plan(scene, 1e-14)
-    one = Instance(scene, "FMU", version).begin()
-    for t in (0.3, 0.5, scene.duration):
-        one.step(t * scene.duration - one.time if t < scene.duration else t - one.time)
-        assert_follows(one, plan)
-    solved = Instance(scene, "FMU", version, "ModelExchange").begin()
-    close(solved.states(), plan.states(0.0)[0])
-    close(solved.get("contact[1].pose.position"), plan.pose(0.0)[0, 0, :3, 3])
 
 
 @of_kinds

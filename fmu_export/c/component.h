@@ -20,14 +20,14 @@
 #pragma GCC diagnostic ignored "-Wunused-function"
 #endif
 
-typedef enum {
+enum {
   INSTANTIATED = 1,
   INITIALIZATION = 2,
   EVENT = 4,
   CONTINUOUS = 8,
   STEP = 16,
   TERMINATED = 32
-} phase_t;
+};
 
 enum { U1, V1, DU1, DV1, U2, V2, DU2, DV2, PSI, N_STATES };
 
