@@ -69,6 +69,7 @@ class _Slave:
     _version: str
     _plain: type
     instantiate: Callable[..., None]
+    component: Any = None
 
     def __init__(
         self,
@@ -116,6 +117,14 @@ class _Slave:
             error.args = (f"{error.args[0]} {self._said}",)
             raise
 
+    def freeInstance(self) -> None:
+        """Free what the instance holds, once; garbage collection does it too."""
+        if self.component:
+            super().freeInstance()  # type: ignore[misc]
+            self.component = None
+
+    __del__ = freeInstance
+
     def freeLibrary(self) -> None:
         """The engine stays: it is this package's."""
 
@@ -148,8 +157,7 @@ class PlannerSlave2(_Slave, FMU2Slave):
 
     def instantiate(self, visible: bool = False, callbacks: Any = None, loggingOn: bool = False):
         """Begin again, with this slave's logger."""
-        if getattr(self, "component", None):
-            self.fmi2FreeInstance(self.component)
+        self.freeInstance()
         self._kept = fmi2CallbackFunctions(logger=fmi2CallbackLoggerTYPE(self._tell))
         super().instantiate(visible, self._kept, loggingOn)
 
@@ -183,7 +191,6 @@ class PlannerSlave3(_Slave, FMU3Slave):
 
     def instantiate(self, visible: bool = False, loggingOn: bool = False, **_: Any):
         """Begin again, with this slave's logger and options."""
-        if getattr(self, "component", None):
-            self.fmi3FreeInstance(self.component)
+        self.freeInstance()
         events, early = self._options
         super().instantiate(visible, loggingOn, events, early, self._tell)
