@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -32,16 +30,7 @@ def load(name: str) -> dict[str, Any]:
     (200, 3), "jacobi" (200,). "geodesics": records under the key "geodesics", each with
     "times" (n,) in s and "points" (n, 3) in m. The key "about" describes the file.
     """
-    return _convert(_read(name), float)
-
-
-def load_residual(name: str) -> dict[str, Any]:
-    """What `load` rounds away, same layout: reference = load + load_residual to 25 digits.
-
-    Subtract the two parts one after the other to measure errors below one unit in the last
-    place. Inputs, which are doubles, have the residual 0.
-    """
-    return _convert(_read(name), lambda x: float(Fraction(x) - Fraction(float(x))))
+    return _convert(json.loads(Path(__file__).with_name(f"{name}.json").read_text()))
 
 
 def surface_of(record: dict[str, Any]) -> cs.Surface:
@@ -69,20 +58,16 @@ def _plain(value: Any) -> Any:
     return tuple(value) if isinstance(value, np.ndarray) else value
 
 
-def _read(name: str) -> dict[str, Any]:
-    return json.loads(Path(__file__).with_name(f"{name}.json").read_text())
-
-
-def _convert(node: Any, number: Callable[[Any], float]) -> Any:
+def _convert(node: Any) -> Any:
     """Replace numbers, decimal texts and lists of them; leave words and records alone."""
     if isinstance(node, dict):
-        return {key: _convert(value, number) for key, value in node.items()}
+        return {key: _convert(value) for key, value in node.items()}
     if isinstance(node, list):
-        parts = [_convert(value, number) for value in node]
+        parts = [_convert(value) for value in node]
         return parts if any(isinstance(part, dict) for part in parts) else np.array(parts)
     if isinstance(node, str):
         try:
-            return number(node)
+            return float(node)
         except ValueError:
             return node
-    return number(node)
+    return float(node)
