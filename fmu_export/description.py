@@ -70,7 +70,7 @@ def model_description(
     for name, words in LOG_CATEGORIES.items():
         ET.SubElement(categories, "Category", name=name, description=words)
     scene, horizon = table.scene, table.scene.duration
-    smallest = min(s.size for s in (scene.object, *(c.finger for c in scene.contacts)))
+    smallest = min(surface.size for surface in scene.surfaces)
     fastest = scene.speeds(np.linspace(0.0, horizon, 65)).max()
     # so that Euler's method moves a contact by less than a tenth of a body's size
     steps = max(500, math.ceil(10 * fastest * horizon / smallest / 100) * 100)
@@ -375,8 +375,8 @@ def terminals(table: Table) -> str:
 
 def _digest(text: str, scene: Scene) -> str:
     """Of all that is described, and of what is not: equations of the surfaces and windows."""
-    surfaces = [scene.object, *(contact.finger for contact in scene.contacts)]
-    behind = ([(s.structure, s.inside) for s in surfaces], scene.gain, tuple(scene.disturbances))
+    shapes = [(surface.structure, surface.inside) for surface in scene.surfaces]
+    behind = (shapes, scene.gain, tuple(scene.disturbances))
     return "{" + hashlib.sha256((text + repr(behind)).encode()).hexdigest()[:32] + "}"
 
 

@@ -123,7 +123,7 @@ def test_planning_bundled_surfaces_loads_no_symbols():
             plan, t = cs.plan(scene), np.linspace(0.0, scene.duration, 5)
             plan.points(t), plan.states(t), plan.slip(t), plan.pose(t), plan.twist(t)
             plan.acceleration(t), plan.explain()
-            for body in (scene.object, *(contact.finger for contact in scene.contacts)):
+            for body in scene.surfaces:
                 at = body.canonical(0.7, 0.4)
                 body.christoffel(*at), body.curvature_form(*at), body.torsion_form(*at)
                 body.coordinates(body.point(*at))

@@ -144,14 +144,14 @@ def replay(
     return results
 
 
-def no_operation(op: int, form: str) -> ContactSystemError:
-    """The error of a CasADi operation without a counterpart in a form, such as C."""
+def _no_operation(op: int) -> ContactSystemError:
+    """The error of a CasADi operation that tables do not have."""
     import casadi
 
     known = vars(casadi)
     name = next((key for key in known if key.startswith("OP_") and known[key] == op), op)
     return ContactSystemError(
-        f"operation {name} of CasADi has no {form} form here; write the surface with "
+        f"operation {name} of CasADi has no C form here; write the surface with "
         "+ - * / sqrt, trigonometric, hyperbolic, exp, log, pow, fabs, fmin, fmax, fmod, if_else"
     )
 
@@ -194,7 +194,7 @@ class _Values:
         a, b = operands[0], operands[-1]
         match name:
             case None:
-                raise no_operation(op, "C")
+                raise _no_operation(op)
             case "ASSIGN":
                 return a
             case "SQ":
