@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import numbers
 import os
 import re
 import stat
@@ -96,15 +97,15 @@ def finite_numbers(
         # a set has no order; a table would give its keys, bytes their codes
         if isinstance(values, (str, bytes, set, frozenset, Mapping)):
             raise TypeError
-        numbers = tuple(map(_as_float, values))
+        found = tuple(map(_as_float, values))
     except (TypeError, ValueError):
         raise error(f"{what} = {values!r}: give a list of numbers") from None
-    if not numbers:
+    if not found:
         raise error(f"{what} = {values!r}: give at least one number")
-    for k, x in enumerate(numbers):
+    for k, x in enumerate(found):
         if not abs(x) < LARGEST:
             raise error(f"{what}[{k}] = {x!r}: give a finite number (below 1e100)")
-    return numbers
+    return found
 
 
 def finite_number(
@@ -124,6 +125,15 @@ def finite_number(
         limit = "(below 1e100)" if abs(number) >= LARGEST else bound
         raise error(f"{what} = {shown!r}: give a finite number {limit}".rstrip())
     return number
+
+
+def whole_number(
+    value: Any, what: str, error: type[ContactSystemError] = ContactSystemError
+) -> int:
+    """The value as an int; raises the error if it is no whole number, or below 1."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < 1:
+        raise error(f"{what} = {value!r}: give a whole number, at least 1")
+    return int(value)
 
 
 def _as_float(x: Any) -> float:

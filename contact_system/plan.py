@@ -8,14 +8,13 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
-import numbers
 import os
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import FLOAT, a_path, did_you_mean, finite_number, flag, shaped_array
+from .checks import FLOAT, a_path, did_you_mean, finite_number, flag, shaped_array, whole_number
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .planning.motion import SHAPES, Buffer, Motion
 from .planning.starts import Starts, measured_start, on_branch
@@ -406,8 +405,7 @@ class Plan:
         count : int
             Number of equally spaced times, at least 1.
         """
-        if not isinstance(count, numbers.Integral) or isinstance(count, bool) or count < 1:
-            raise ContactSystemError(f"count = {count!r}: give a whole number, at least 1")
+        count = whole_number(count, "count")
         grid, spacing = np.linspace(self.start, self.end, count, retstep=True)
         edges = np.array([e for e in self.scene.edges if e >= self.start])
         same = (np.abs(grid[:, None] - edges) < 1e-9 * spacing).any(axis=1)

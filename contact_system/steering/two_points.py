@@ -8,14 +8,13 @@ covers all points that are not farther, and every candidate in it is aimed.
 from __future__ import annotations
 
 import math
-import numbers
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import finite_number, shaped_array
+from ..checks import finite_number, shaped_array, whole_number
 from ..engine import binding
 from ..errors import SurfaceError
 from ..kept import kept
@@ -147,8 +146,7 @@ def geodesics(
         raise SurfaceError(
             f"{surface!r}: a and b are the same point, {pairs.b[0].tolist()}; give two"
         )
-    if not isinstance(most, numbers.Integral) or most < 1:
-        raise SurfaceError(f"most = {most!r}: give a whole number from 1 on")
+    most = whole_number(most, "most", SurfaceError)
     if longest is not None:
         longest = finite_number(longest, "longest", "above 0", SurfaceError)
     if surface.developable:

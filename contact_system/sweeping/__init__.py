@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
-import numbers
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sized
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..checks import a_path, flag, make_folder
+from ..checks import a_path, flag, make_folder, whole_number
 from ..errors import ContactSystemError
 from ..measures import summary
 from ..plan import checked_tolerance
@@ -136,13 +135,10 @@ def sweep(
     """
     if isinstance(scenes, (Scene, str, os.PathLike)) or not isinstance(scenes, Iterable):
         raise ContactSystemError(f"scenes = {scenes!r:.80}: give a list of scenes, such as [scene]")
-    ahead = 2 * (os.cpu_count() or 1) if ahead is None else ahead
     if flag(each, "each") and chunk is None:
         chunk = 1
-    chunk = 500 if chunk is None else chunk
-    for name, value in (("chunk", chunk), ("ahead", ahead)):
-        if not isinstance(value, numbers.Integral) or value < 1:
-            raise ContactSystemError(f"{name} = {value!r}: give a whole number, at least 1")
+    chunk = 500 if chunk is None else whole_number(chunk, "chunk")
+    ahead = 2 * (os.cpu_count() or 1) if ahead is None else whole_number(ahead, "ahead")
     if not callable(evaluate):
         raise ContactSystemError(
             f"evaluate = {evaluate!r:.80}: give a function of a plan, or of a scene with each=True"
