@@ -5,10 +5,9 @@ damper here, so that the contact itself decides how far the finger sinks in. Sli
 the planned curve held: to plan anew from where a pushed finger is adds slip.
 
 In a discrete plant (semi-implicit Euler, step h) a velocity at t_k moved the body from t_{k-1} to
-t_k, so the velocity to track is the backward difference of desired positions, and the acceleration
-to feed forward the second, ``A + h^2/12 A''``. The error lives in a frame that turns with the
-contact normal at Omega = n x n', of which the normals of two steps, ``n_before x n = h Omega``,
-tell the plan's part. docs/drake-contact.md says what each term is worth.
+t_k, so the velocity to track is that of half a step ago; the object's, which is measured, is that
+already. The error lives in a frame that turns with the contact normal at Omega = n x n'.
+docs/drake-contact.md says what each term is worth.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from pydrake.common.value import Value
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.multibody.tree import BodyIndex, world_index
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 
 from contact_system import Scene, SceneError
 from contact_system.theory import symbols as ca
@@ -44,53 +43,41 @@ OFF = 1e-4
 """Of a finger's size, how far its mass centre may be from its origin."""
 
 
-KEPT = {"restarts": 1, "steps": 1, "position": 3, "spin": 3, "normal": 3, "a": 3, "a_earlier": 3}
-"""What a driver keeps of a finger from step to step."""
-STATE = sum(KEPT.values())
-POINT = {"X_WO": 12, "V_WO": 6, "A_WO": 6, **TIP, "motion": sum(MOTION.values()), "kept": STATE}
-POINT |= {"restarts": 1, "sliding": 3, "push": 3, "normal_force": 1}
+POINT = {"X_WO": 12, "V_WO": 6, "A_WO": 6, **TIP, "motion": sum(MOTION.values())}
+POINT |= {"sliding": 3, "push": 3, "normal_force": 1}
 """What a step's law is made of."""
 
 
 @per_structure
 def driving_law() -> Table:
-    """Table of one finger: `POINT`, `CONSTANT` -> torque (3), force (3), in the world, `KEPT`."""
+    """Table of one finger: `POINT`, `CONSTANT` -> torque (3), force (3), in the world."""
     point, x = named(POINT)
     constant, c = named(CONSTANT)
-    plan, before = (split(x.motion, MOTION), SimpleNamespace(**split(x.kept, KEPT)))
+    plan = split(x.motion, MOTION)
     x.R_OF, x.p_OF = ca.reshape(plan["pose"][:9], 3, 3), plan["pose"][9:]
     (x.w_OF, x.v_OF), (x.alpha_OF, x.a_OF) = halves(plan["twist"]), halves(plan["acceleration"])
     x.normal, x.normal_rate = plan["normal"], plan["normal_rate"]
     x.point, x.slip = plan["contact_point"][:3], x.R_WO @ x.sliding
-    # no difference is taken across a restart
-    before.steps = ca.if_else(before.restarts == x.restarts, before.steps, 0)
-    wanted = _desired_motion(x, c.h, before)
+    wanted = _desired_motion(x, c.h)
     x.contact_force -= x.normal_force * wanted.normal
     wrench = tip_wrench(x, wanted, c) + ca.vertcat(0, 0, 0, x.push)
-    kept = [x.restarts, before.steps + 1, wanted.p_WT, x.w_OF, x.normal, x.a_OF, before.a]
-    found = ca.densify(ca.vertcat(wrench, *kept))
-    return Table(ca.Function("driving", [point, constant], [found]))
+    return Table(ca.Function("driving", [point, constant], [ca.densify(wrench)]))
 
 
-def _desired_motion(x: SimpleNamespace, h: ca.SX, before: SimpleNamespace) -> SimpleNamespace:
+def _desired_motion(x: SimpleNamespace, h: ca.SX) -> SimpleNamespace:
     """The plan carried by the object, in the world, as a discrete plant needs it: `WANTED`.
 
     Place and acceleration are those of now; the velocity is that which brought the finger here.
     """
-    cross, begun = ca.cross, before.steps > 0
+    cross = ca.cross
     off, v, spin = x.R_WO @ x.p_OF, x.R_WO @ x.v_OF, x.R_WO @ x.w_OF
     p, R, swept = x.p_WO + off, x.R_WO @ x.R_OF, cross(x.w_WO, off)
-    second = (x.a_OF - 2 * before.a + before.a_earlier) / 12  # h^2/12 A''
-    a = x.a_WO + cross(x.alpha_WO, off) + cross(x.w_WO, swept + 2 * v)
-    a += x.R_WO @ (x.a_OF + ca.if_else(before.steps > 1, second, 0))
-    now = x.v_WO + swept + v - 0.5 * h * a
-    ago = ca.if_else(begun, (p - before.position) / h, now)
-    w = x.w_WO + ca.if_else(begun, 0.5 * (spin + x.R_WO @ before.spin), spin)
-    alpha = x.alpha_WO + x.R_WO @ x.alpha_OF + cross(x.w_WO, spin)
+    bend = cross(x.w_WO, swept + 2 * v) + x.R_WO @ x.a_OF
+    turn = cross(x.w_WO, spin) + x.R_WO @ x.alpha_OF
+    ago, w = x.v_WO + swept + v - 0.5 * h * bend, x.w_WO + spin - 0.5 * h * turn
+    a, alpha = x.a_WO + cross(x.alpha_WO, off) + bend, x.alpha_WO + turn
     normal, arm = x.R_WO @ x.normal, R @ x.point
-    turned = cross(before.normal, x.normal) / h
-    turned = x.R_WO @ ca.if_else(begun, turned, cross(x.normal, x.normal_rate))
-    turning = turned + x.w_WO - ca.dot(x.w_WO, normal) * normal
+    turning = x.R_WO @ cross(x.normal, x.normal_rate) + x.w_WO - ca.dot(x.w_WO, normal) * normal
     motion = {"p_WT": p, "R_WT": R, "w_WT": w, "v_WT": ago, "alpha_WT": alpha, "a_WT": a}
     return SimpleNamespace(**motion, normal=normal, turning=turning, arm=arm)
 
@@ -107,7 +94,6 @@ class FingertipDriver(LeafSystem):
         - body_spatial_velocities
         - body_spatial_accelerations
         - contact_forces (optional)
-        - restarts (optional)
         - sliding (optional)
         - push (optional)
         output_ports:
@@ -119,17 +105,11 @@ class FingertipDriver(LeafSystem):
     - `contact_forces` (3n): forces of the fingers on the object in the world, N, as a
       :class:`ForceBalancer` gives them; where nothing is connected, the configuration's
       ``normal_force`` along each planned normal.
-    - `restarts` (n): how often the plan of each finger began anew, as a planner that restarts says
-      it. No difference is taken across that.
     - `sliding` (3n): slip to be rejected, as :class:`ContactMonitor` gives it.
     - `push` (3n + 3): forces in the world on the fingers and on the object, N.
 
     The output is a list of ExternallyAppliedSpatialForce, one a fingertip and one on an object that
     is pushed, at their mass centres.
-
-    Where the plant is discrete, a discrete state holds 17 numbers a finger: its restarts, the steps
-    since the last one, its desired position in the world, planned spin and normal one step ago, and
-    planned accelerations one and two steps ago.
 
     Parameters
     ----------
@@ -152,7 +132,7 @@ class FingertipDriver(LeafSystem):
     def __init__(self, scene_plant: ScenePlant):
         super().__init__()
         require_config(scene_plant, ScenePlant, "scene_plant")
-        plant, fingers = scene_plant.plant, scene_plant.finger_bodies
+        fingers = scene_plant.finger_bodies
         # What the plant is made from; the plant itself would keep this system for ever.
         self.scene, self.config = scene_plant.scene, scene_plant.config
         self.object_index = int(scene_plant.object_body.index())
@@ -168,26 +148,17 @@ class FingertipDriver(LeafSystem):
         )
         self._optional = {
             "contact_force": self.DeclareVectorInputPort("contact_forces", 3 * n),
-            "restarts": self.DeclareVectorInputPort("restarts", n),
             "sliding": self.DeclareVectorInputPort("sliding", 3 * n),
             "push": self.DeclareVectorInputPort("push", 3 * n + 3),
         }
         forces = Value[list[ExternallyAppliedSpatialForce]]
-        step = plant.time_step()
-        needs = (self.all_input_ports_ticket(), self.xd_ticket() if step else self.nothing_ticket())
-        law, self._found = array_entry(self._CalcLaw, (n, 6 + STATE), needs)
+        law, self._found = array_entry(self._CalcLaw, (n, 6), [self.all_input_ports_ticket()])
         self.DeclareAbstractOutputPort("spatial_forces", forces, weakly(self._CalcForces), {law})
         if scene_plant.meshed:
             self.DeclarePerStepPublishEvent(partial(_refuse_beyond, self.scene))
-        if not step:
-            return
-        self.DeclareDiscreteState(STATE * n)
-        # Unrestricted, because the plant's step is such an update (for its sampled ports), and
-        # those come before discrete ones: a discrete update would see the object a step ahead.
-        self.DeclarePeriodicUnrestrictedUpdateEvent(step, 0.0, weakly(self._Remember))
 
     def _CalcLaw(self, context: Context) -> Array:
-        """Torque, force and what is to be kept of each finger: (n, 23)."""
+        """Torque and force on each finger: (n, 6)."""
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
         A, o, law = self._accelerations.Eval(context), self.object_index, self._laws.own
         x, n = law.x, len(law.bodies)
@@ -199,24 +170,18 @@ class FingertipDriver(LeafSystem):
             x[name][:] = port.Eval(context)[: x[name].size].reshape(n, -1) if given else 0.0
             if name == "contact_force":
                 x["normal_force"][:] = 0.0 if given else self.config.normal_force
-        if context.num_discrete_state_groups():
-            x["kept"][:] = context.get_discrete_state_vector().value().reshape(n, -1)
         law.run()
         return law.results
 
     def _CalcForces(self, context: Context, output: Value) -> None:
         law, push = self._laws.own, self._optional["push"]
         for applied, row in zip(law.applied, self._found(context)):
-            applied.F_Bq_W = SpatialForce(row[:6])
+            applied.F_Bq_W = SpatialForce(row)
         every = law.applied
         if push.HasValue(context) and (pushed := push.Eval(context)[-3:]).any():
             every = [*every, _applied(BodyIndex(self.object_index), self._object_center)]
             every[-1].F_Bq_W = SpatialForce(np.zeros(3), pushed)
         output.set_value(every)
-
-    def _Remember(self, context: Context, state: State) -> None:
-        now = state.get_mutable_discrete_state().get_mutable_value()
-        now[:] = self._found(context)[:, 6:].ravel()
 
 
 class _Laws(FingerTables):

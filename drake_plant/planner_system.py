@@ -143,8 +143,7 @@ class ContactPlanner(_Convertible, LeafSystem):
     The planner takes the measured state as its own every `restart_period` seconds; with a
     `restart_distance` that of contacts which are further from the planned point on the object,
     looked at every `restart_period` or 0.01 s. Contacts whose measured state is not finite keep
-    their plan; so do those almost at rest, whose rates have no direction. The port `restarts`
-    tells a driver not to take differences across a restart.
+    their plan; so do those almost at rest, whose rates have no direction.
 
     A planner may be shared by threads that have a Context each.
 

@@ -127,7 +127,6 @@ def build(
     if config.slip_gain:
         wire(builder, monitor, driver, "sliding")
     if config.restarts:
-        wire(builder, planner, driver, "restarts")
         builder.Connect(monitor.GetOutputPort("state"), planner.GetInputPort("measured_state"))
     applied = plant.get_applied_spatial_force_input_port()
     builder.Connect(driver.GetOutputPort("spatial_forces"), applied)
@@ -205,7 +204,7 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     What is planned is what the context has for the planner, state and time (by default the start of
     the scene). The object stays as the context has it (by default at the world's origin, at rest),
     but one that turns on the joint of :func:`AddScenePlant` is put where the scene has it at that
-    time. Each finger is pressed in as deep as its normal force presses it. Driver and plant forget
+    time. Each finger is pressed in as deep as its normal force presses it. The plant forgets
     the steps before: as in a new context, the plant's accelerations and contact forces are zero
     until its first step.
 
@@ -254,8 +253,6 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         V_WF = V_WO.ComposeWithMovingFrameVelocity(R_WO @ X_OF.translation(), V_OF_W)
         plant.SetFreeBodyPose(physics, body, X_WO @ X_OF)
         plant.SetFreeBodySpatialVelocity(context=physics, body=body, V_JpJc=V_WF)
-    if plant.time_step():
-        driver.GetMyMutableContextFromRoot(context).get_mutable_discrete_state_vector().SetZero()
     # The sampled outputs of Drake's plant outlive SetDefaultContext.
     new = plant.CreateDefaultContext()
     sampled = physics.get_mutable_state().get_mutable_abstract_state()

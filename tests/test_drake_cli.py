@@ -92,7 +92,7 @@ def test_slip_is_followed_until_anything_else_acts(later, verdict):
 
 def test_a_disturbance_between_two_samples_is_seen_in_the_next():
     scene = cs.load_scene("D1")
-    window = dataclasses.replace(scene.disturbances[0], start=0.1002, stop=0.1007)
+    window = dataclasses.replace(scene.disturbances[0], start=0.1002, stop=0.1017)
     scene = scene.replace(disturbances=[window])
     result = simulate(scene, StationConfig.from_scene(scene, contact_model="point"), 0.15)
     with warnings.catch_warnings():
