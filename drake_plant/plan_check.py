@@ -26,10 +26,8 @@ TOLERANCE = 1.5e-6
 size. In D1 that is 1e-6 m at 0.5 s and 9e-6 m at its end, where runge_kutta3 is off by 5e-6 m at
 the 1 ms of a discrete plant, by 3e-4 m alone with an accuracy of 1e-3, cenic by 30 mm."""
 LOOKS = 20
-"""A scene is compared so often, evenly, and whenever the time since the start has doubled."""
-STEPS = 257
-"""It is also compared every so many steps, as simulations of one system may take turns. The number
-is odd, so that neither of two that alternate is left out. A look takes 30 us."""
+"""A scene is compared so often, evenly, and whenever the time since the start has doubled. A look
+takes 30 us."""
 
 
 class StepWatch:
@@ -40,15 +38,13 @@ class StepWatch:
         self.begin(0.0)
 
     def begin(self, t: float) -> None:
-        self._start, self.next, self.left = t, t, STEPS
+        self._start = self._next = t
 
     def due(self, t: float) -> bool:
         """Whether to compare the end of this step with the plan."""
-        self.left -= 1
-        if self.left and t < self.next:
+        if t < self._next:
             return False
-        self.left = self.left or STEPS
-        self.next = t + min(abs(t - self._start), self._duration / LOOKS)
+        self._next = t + min(t - self._start, self._duration / LOOKS)
         return True
 
 
