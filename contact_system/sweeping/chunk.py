@@ -169,8 +169,6 @@ def _together(batch: Batch) -> Scene:
     Its parts were checked in their own scenes. Checking them again would slow down a sweep of
     disturbed scenes by a seventh.
     """
-    if len(batch) == 1:
-        return batch[0][1]
     contacts: list[Contact] = []
     disturbances: list[Disturbance] = []
     for _, scene in batch:
