@@ -151,8 +151,8 @@ class ObjectReport:
         Farthest from where it began [m], [rad].
     carried : float
         Part of its weight that something balances, at most 1: 1 + a/g with its mean upward
-        acceleration a in the last 0.5 s, beyond what its path in a hand has, and what a push that
-        still acts takes away; NaN without gravity, or where it is not free.
+        acceleration a in the last 0.5 s, beyond what its path in a hand has; NaN without gravity,
+        or where it is not free.
     """
 
     moved: float
@@ -232,17 +232,14 @@ def object_report(result: SimulationResult) -> ObjectReport:
 
 
 def _acceleration(result: SimulationResult) -> float:
-    """Upward, of the object, on average over what is judged, m/s^2. Pushes that it comes back from
-    cancel out; one that presses it down at the end is left out."""
+    """Upward, of the object, on average over what is judged, m/s^2: pushes that it comes back from
+    cancel out."""
     end, time = result.t[-1], min(LATELY, result.t[-1] - result.t[0])
     moment = min(MOMENT, time / 2)
     wanted = getattr(result, "wanted_pose", result.object_pose[:1])
     marks = end - np.array([time, time - moment, moment, 0.0])
     z = np.interp(marks, result.t, result.object_pose[:, 2, 3] - wanted[:, 2, 3])
-    pressing = (p for p in result.config.pushes if p.on == "object" and p.start < end <= p.stop)
-    pressed = sum(min(p.force[2], 0.0) * min(end - p.start, time) for p in pressing)
-    gained = (z[3] - z[2] - z[1] + z[0]) / moment - pressed / result.config.object_mass
-    return float(gained / (time - moment))
+    return float((z[3] - z[2] - z[1] + z[0]) / moment / (time - moment))
 
 
 def push_table(result: SimulationResult) -> list[PushReport]:
