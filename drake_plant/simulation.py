@@ -220,7 +220,7 @@ Asked = dict[str, Callable[[], Array]]
 
 class Log:
     """Where the object is, what the monitor measures and what else is asked for, at ends of steps:
-    about a period apart, and of every step in which a free finger is off the object."""
+    about a period apart, and of every step in which a finger is off the object."""
 
     def __init__(
         self, station: Diagram, root: Context, parts: ScenePlant, asked: Asked, period: float
@@ -230,9 +230,6 @@ class Log:
         self._measured = partial(monitor.measured, monitor.GetMyContextFromRoot(root))
         self._asked = asked | {"measured": self._measured}
         self._asked["pose"] = lambda: parts.object_body.EvalPoseInWorld(physics).GetAsMatrix4()
-        instances = [body.model_instance() for body in parts.finger_bodies]
-        ports = [plant.get_generalized_contact_forces_output_port(i) for i in instances]
-        self._pressing = [partial(port.Eval, physics) for port in ports if port.size()]
         self._step, self._period, self._next = plant.time_step(), period, 0
         self._t: list[float] = []
         self._rows: list[list[Array]] = []
@@ -264,16 +261,11 @@ class Log:
             return
         periods = math.floor(t / self._period + NEAR)
         due = periods >= self._next or (last and t > self._t[-1])
-        if not due and self._all_press():
+        if not due and (self._measured()[:, COLUMNS["normal_force"]] > 0).all():
             return
         self._next = periods + 1
         self._t.append(t)
         self._rows.append([ask().copy() for ask in self._asked.values()])
-
-    def _all_press(self) -> bool:
-        if self._pressing:  # quicker than to measure
-            return all(any(force().tolist()) for force in self._pressing)
-        return bool((self._measured()[:, COLUMNS["normal_force"]] > 0).all())
 
     def read(self) -> tuple[Array, dict[str, Array]]:
         """Times, and what was said then."""
