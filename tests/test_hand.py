@@ -135,10 +135,10 @@ def test_a_path_of_drake_is_followed(joints):
 
 @pytest.mark.parametrize("model", ["point", "hydroelastic"])
 def test_a_ball_ends_where_it_should(model):
-    scene = H2.replace(duration=0.5, drake={**H2.drake, "turn": [[3, 0, 4]]})
+    scene = H2.replace(duration=0.5, drake={**H2.drake, "turn": [[3, 0, 4]], "normal_force": 0.5})
     told = hand_report(simulate(scene, StationConfig.from_scene(scene, contact_model=model)))
     assert told.off[-1] < 1e-4 and told.turned_off[-1] < math.radians(0.1)
-    assert told.cones.max() < 0.9 and not told.lost.any() and told.slipped.max() < 1e-4
+    assert told.cones.max() < 0.9 and not told.lost.any() and told.slipped.max() < 2e-4
     assert told.torque_share.max() < 1 and told.room.min() > 0
 
 
