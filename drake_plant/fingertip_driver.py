@@ -30,7 +30,7 @@ from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
 from .config import require_config
-from .lifetimes import NO_DICTIONARY, array_entry, weakly
+from .lifetimes import NO_DICTIONARY, weakly
 from .planner_base import MOTION
 from .plant import ScenePlant, declare_plant_inputs
 from .scratch import FingerTables, PerThread, halves, named, split
@@ -152,13 +152,11 @@ class FingertipDriver(LeafSystem):
             "push": self.DeclareVectorInputPort("push", 3 * n + 3),
         }
         forces = Value[list[ExternallyAppliedSpatialForce]]
-        law, self._found = array_entry(self._CalcLaw, (n, 6), [self.all_input_ports_ticket()])
-        self.DeclareAbstractOutputPort("spatial_forces", forces, weakly(self._CalcForces), {law})
+        self.DeclareAbstractOutputPort("spatial_forces", forces, weakly(self._CalcForces))
         if scene_plant.meshed:
             self.DeclarePerStepPublishEvent(partial(_refuse_beyond, self.scene))
 
-    def _CalcLaw(self, context: Context) -> Array:
-        """Torque and force on each finger: (n, 6)."""
+    def _CalcForces(self, context: Context, output: Value) -> None:
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
         A, o, law = self._accelerations.Eval(context), self.object_index, self._laws.own
         x, n = law.x, len(law.bodies)
@@ -171,13 +169,9 @@ class FingertipDriver(LeafSystem):
             if name == "contact_force":
                 x["normal_force"][:] = 0.0 if given else self.config.normal_force
         law.run()
-        return law.results
-
-    def _CalcForces(self, context: Context, output: Value) -> None:
-        law, push = self._laws.own, self._optional["push"]
-        for applied, row in zip(law.applied, self._found(context)):
+        for applied, row in zip(law.applied, law.results):
             applied.F_Bq_W = SpatialForce(row)
-        every = law.applied
+        every, push = law.applied, self._optional["push"]
         if push.HasValue(context) and (pushed := push.Eval(context)[-3:]).any():
             every = [*every, _applied(BodyIndex(self.object_index), self._object_center)]
             every[-1].F_Bq_W = SpatialForce(np.zeros(3), pushed)
