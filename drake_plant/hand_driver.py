@@ -35,7 +35,6 @@ Array = NDArray[np.float64]
 
 POSTURE = 30.0  # 1/s, omega
 CORRECTION = 8.0  # 1/s, of what the object is off its path
-MOST = 0.3  # of the object's size, and rad, by which tips' places are corrected
 
 HELD = {**TIP, "slip": 3, **WANTED}
 """What the law of a tip on joints is made of."""
@@ -155,8 +154,6 @@ class HandDriver(LeafSystem):
         off = way_to(self.plan.path.GetPose(context.get_time()), X_WO)
         now = state.get_mutable_discrete_state().get_mutable_value()
         now += CORRECTION * self._step * off
-        for part, size in ((now[:3], 1.0), (now[3:], self.plan.scene.object.size)):
-            part *= min(1.0, MOST * size / max(float(np.linalg.norm(part)), 1e-9))
 
 
 def _own(plan: Reorientation, constants: list[list[float]]) -> tuple[Chains, FingerTables]:
