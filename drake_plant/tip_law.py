@@ -55,7 +55,8 @@ def _force(x: SimpleNamespace, wanted: SimpleNamespace, c: SimpleNamespace) -> c
     """Feed-forward, contact, slip, tracking in the frame that turns with the contact."""
     cross, normal, turning = ca.cross, wanted.normal, wanted.turning
     error, error_rate = wanted.p_WT - x.p_WF, wanted.v_WT - x.v_WF
-    error_rate -= cross(turning, error)
+    # The velocities are those of half a step ago, so the error has to be too.
+    error_rate -= cross(turning, error - 0.5 * c.h * error_rate)
     a = wanted.a_WT - 2 * cross(turning, error_rate) - cross(turning, cross(turning, error))
     a += c.slip_gain * x.slip
     approach = ca.dot(error_rate, normal)
