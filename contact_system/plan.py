@@ -459,7 +459,7 @@ class Plan:
 
 def checked_tolerance(value: Any) -> float:
     """The tolerance as a float; raises a SceneError if it is no number from 1e-15 to 1e-1."""
-    number = finite_number(value, "tolerance")
+    number = value if type(value) is float else finite_number(value, "tolerance")
     if not 1e-15 <= number <= 0.1:
         raise SceneError(f"tolerance = {value!r}: give a number from 1e-15 to 1e-1")
     return number

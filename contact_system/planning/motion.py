@@ -113,7 +113,7 @@ class Buffer:
 
     def _rows(self, scene: Scene, begin: float, starts: Starts | None) -> list[bytes]:
         """One row a contact: its finger, start, disturbances and legs."""
-        begins = starts or [contact.start() for contact in scene.contacts]
+        begins: Sequence[Any] = starts or scene.contacts
         windows, frames, rows = _windows(scene, begin), _solved_frames(scene, begins), []
         legs: dict[Sequence[Leg], tuple[int, int]] = {}
         for i, (contact, start) in enumerate(zip(scene.contacts, begins)):
@@ -128,8 +128,8 @@ class Buffer:
                 place: Numbers = (*start.finger_at, *start.object_at, start.angle)
                 velocities: Numbers = (*start.finger_velocity, *start.slip)
             else:
-                place = (*start.finger_at, 0.0, *start.object_at, 0.0, start.angle)
-                velocities = (*start.finger_velocity, *start.object_velocity)
+                finger_at, object_at, angle, w1, w2 = start if starts else contact.start()
+                place, velocities = (*finger_at, 0.0, *object_at, 0.0, angle), (*w1, *w2)
             which, both = 0, _NO_FRAMES
             if known:
                 first, second = known
@@ -173,7 +173,7 @@ def _solved_frames(scene: Scene, begins: Sequence[Any]) -> dict[int, list[Number
                 places.setdefault(id(surface), []).append((i, side))
     frames: dict[int, list[Numbers]] = {}
     for key, where in places.items():
-        uv = np.array([begins[i][side] for i, side in where])
+        uv = np.array([(begins[i].finger_at, begins[i].object_at)[side] for i, side in where])
         point, frame = surfaces[key].point_and_frame(*uv.T)
         for (i, side), found in zip(where, np.hstack([point, frame[..., 0]]).tolist()):
             frames.setdefault(i, [(), ()])[side] = tuple(found)
