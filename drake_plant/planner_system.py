@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import functools
 import math
 from functools import partial
@@ -213,7 +214,8 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     def Evaluate(self, context: Any, *outputs: str) -> Array:
         values = self._Numbers(context, *outputs)
-        if not math.isfinite(values.dot(values)):  # quicker than to look at each
+        # the product is quick to say that all is well
+        if not math.isfinite(values.dot(values)) and not np.isfinite(values).all():
             refuse(self.system, *self._scratches.own.given)
         return values[_rows(len(self.system.scene.contacts), outputs)]
 
@@ -294,13 +296,23 @@ class ContactPlanner(_Convertible, LeafSystem):
         time, x = own.written
         time[0] = t = context.get_time()
         x[:] = context.get_continuous_state_vector().value()
-        added = self._Disturbance(context, *outputs)  # first, as its source may load, too
-        own.w[:] = self.system.window_values(t)
+        after, before = own.same
+        if not after < t < before:
+            self._LoadRest(context, own, t, outputs)
+        return own
+
+    def _LoadRest(self, context: Any, own: Scratch, t: float, outputs: tuple[str, ...]) -> None:
+        """What the windows and the disturbance port add at t, and held numbers."""
+        added = self._Disturbance(context, *outputs)
+        own.w[:] = self._Windows(context)
         if added is not None:
             own.w += added
         if self._held is not None:
             own.held[:] = context.get_discrete_state(self._held).value()
-        return own
+        if self._held is self._disturbance is None:
+            edges = (-math.inf, *self.system.edges, math.inf)
+            k = bisect.bisect_left(edges, t)
+            own.same = (t, t) if t in edges else (edges[k - 1], edges[k])
 
     def _Numbers(self, context: Any, *outputs: str) -> Array:
         return self._Load(context, outputs).evaluate(*outputs)

@@ -26,12 +26,14 @@ class Scratch:
     Attributes
     ----------
     t, x, w, held : arguments of `SceneSystem.function`, the first of `given`
+    same : between these times w stays as it is
     written : t and x, as they are written fastest
     rates : run, guard and derivatives of the machine of the derivatives
     """
 
     def __init__(self, system: SceneSystem):
         self._system = system
+        self.same = (0.0, 0.0)
         self._machines: dict[tuple[str, ...], SystemMachine] = {}
         machine = SystemMachine(system, "derivatives", "guard", "clearance")
         sizes = (1, len(system.x0), system.n_w, len(system.held0))
