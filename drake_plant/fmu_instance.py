@@ -155,7 +155,9 @@ class Instance:
             if name not in known:
                 self._refuse_name(name, known)
             self._check_start(known[name], value)
-        self._start_values, self._outputs = start_values, outputs
+        arrays = {k: v for k, v in start_values.items() if isinstance(v, (list, np.ndarray))}
+        rows = {k: np.array(v, object).ravel() for k, v in arrays.items()}  # fmpy wants no matrix
+        self._start_values, self._outputs = {**start_values, **rows}, outputs
 
     def _check_start(self, variable: Any, value: Any) -> None:
         """Refuse numbers that fmpy would wrap or cut; all else it checks."""

@@ -566,6 +566,15 @@ def test_fmpy_hears_what_other_fmus_say_when_a_system_is_gone(tmp_path, capfd):
 # --- the planner ---------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("kind", [np.array, list])
+def test_the_start_value_of_a_matrix_is_one(kind, tmp_path):
+    given = {"fmi_version": "3.0", "arrays": True, "measured": "pose"}
+    file = export_fmu(cs.load_scene("K2"), tmp_path / "K2.fmu", **given)
+    name, rotation = "contact[1].measured.pose.rotation", [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
+    system = FmuSystem(file, step=0.1, outputs=name, start_values={name: kind(rotation)})
+    assert values(system, system.CreateDefaultContext(), "y").tolist() == sum(rotation, [])
+
+
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """A scene with a window, off the samples, and its FMU of each version."""
