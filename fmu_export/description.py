@@ -335,7 +335,7 @@ def build_description(table: Table, sources: Sequence[str]) -> str:
     """The text of sources/buildDescription.xml (FMI 3.0.2, section 2.5.1.6)."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     build = ET.SubElement(root, "BuildConfiguration", modelIdentifier=model_identifier(table.scene))
-    files = ET.SubElement(build, "SourceFileSet", language="C99")
+    files = ET.SubElement(build, "SourceFileSet", language="C11")
     for name in sources:
         ET.SubElement(files, "SourceFile", name=name)
     ET.SubElement(build, "Library", name="m", external="true")
