@@ -123,7 +123,8 @@ def _structure(
                 )
             if (model, variable) not in seen:
                 connector = _add(inside.get(model, outside), "Connector", name=variable, kind=kind)
-                ET.SubElement(connector, f"{{{_SSC}}}{own or types[0]}")
+                if (own or types[0]) != "Enumeration":  # SSP wants its items again, or no type
+                    ET.SubElement(connector, f"{{{_SSC}}}{own or types[0]}")
             seen.add((model, variable))
             attributes |= {f"{side}Element": model} if model else {}
             attributes[f"{side}Connector"] = variable

@@ -62,6 +62,20 @@ def test_disturbances_come_in_through_the_system_and_planners_do_not_mix(tmp_pat
         assert result[name] == pytest.approx(slip, abs=1e-12) and slip.max() > 1e-6
 
 
+def test_a_connector_of_an_enumeration_is_valid(tmp_path):
+    mode = """<fmiModelDescription fmiVersion="2.0" modelName="a" guid="a">
+      <CoSimulation modelIdentifier="a"/><TypeDefinitions><SimpleType name="T"><Enumeration>
+      <Item name="on" value="1"/></Enumeration></SimpleType></TypeDefinitions><ModelVariables>
+      <ScalarVariable name="mode" valueReference="1" causality="input"
+      variability="discrete"><Enumeration
+      declaredType="T" start="1"/></ScalarVariable></ModelVariables><ModelStructure/>
+      </fmiModelDescription>"""
+    with zipfile.ZipFile(tmp_path / "a.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", mode)
+    path = export_ssp({"a": tmp_path / "a.fmu"}, tmp_path / "a.ssp", [("pick", "a.mode")])
+    assert [c.name for c in read_ssd(str(path)).system.connectors] == ["pick"]  # validates it
+
+
 @pytest.mark.parametrize(
     ("models", "words"),
     [
