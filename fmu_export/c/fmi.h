@@ -214,8 +214,8 @@ static status_t check_one(component_t *c, unsigned reference, double value) {
           "is calculated; disturb the motion by the inputs, or export with measured inputs",
       [INDEPENDENT] = "is time; it is set by steps, or by SetTime",
       [CONSTANT] =
-          "is constant, as the numbers of its surface depend on each other; export a scene "
-          "with another surface",
+          ("is constant, as the numbers of its surface depend on each other; export a scene "
+           "with another surface"),
       [FIXED] = "is fixed; set it before initialization ends, or reset first",
       [TUNABLE] = "is tunable; set it in event mode",
       [INPUT] = "is an input; set it before the simulation ends, or reset first",
