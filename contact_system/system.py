@@ -107,9 +107,7 @@ class SceneSystem:
         self._require_possible()
         n = len(scene.contacts)
         self.n_w = 6 * n if scene.disturbances or disturbance_input else 0
-        self._ways = [
-            c.whole_way(scene.profile, scene.duration) if c.legs else () for c in scene.contacts
-        ]
+        self._ways = [scene.way(i) if c.legs else () for i, c in enumerate(scene.contacts)]
         self.forms = self._forms()
         self._rests = [self._rests_of(i) for i in range(n)]
         turns = {stretch.start for way in self._ways for stretch in way[1:]}

@@ -119,7 +119,7 @@ def measured(finger: Surface, obj: Surface, what: str) -> Table:
 
 def way_of(scene: Scene, contact: Contact) -> list[Stretch]:
     """A contact's legs, the rest behind them included, with profiles of one length."""
-    way = contact.whole_way(scene.profile, scene.duration)
+    way = contact.way(scene.profile, scene.duration)
     size = max(len(stretch.profile.coefficients) for stretch in way)
     return [
         stretch._replace(profile=Profile([*c, *[0.0] * (size - len(c))]))

@@ -13,7 +13,7 @@ from ..checks import did_you_mean, finite_number, finite_numbers, is_plain, with
 from ..errors import SceneError
 from ..surfaces import Surface
 from ..theory.profile import Numbers, Profile
-from .legs import Leg, Stretch, endless, stretches
+from .legs import Leg, Stretch, stretches
 
 Pair = tuple[float, float]
 
@@ -169,11 +169,6 @@ class Contact:
         if self.legs:
             return stretches(self.legs, duration)
         return (Stretch(0.0, duration, 0.0, profile),)
-
-    def whole_way(self, profile: Profile, duration: float) -> tuple[Stretch, ...]:
-        """The same without end: after the last leg the contact rests."""
-        way = self.way(profile, duration)
-        return endless(way) if self.legs else way
 
     @property
     def follows(self) -> bool:

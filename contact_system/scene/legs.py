@@ -108,7 +108,7 @@ class Stretch(NamedTuple):
 
 
 def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
-    """Legs one after the other on a horizon [s], then rest until its end."""
+    """Legs one after the other on a horizon [s], then rest, unless they end in motion."""
     result, start, before = [], 0.0, legs[0].direction
     for leg in legs:
         assert leg.profile is not None
@@ -119,17 +119,9 @@ def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
         turn = math.cos(angle), math.sin(angle)
         result.append(Stretch(start, stop, leg.direction, leg.profile, turn))
         start, before = stop, leg.direction
-    if start < duration:
-        result.append(Stretch(start, duration, legs[-1].direction, STILL))
+    if start < duration or not _ends(result[-1])[1]:  # a rest of 0 s goes on beyond the horizon
+        result.append(Stretch(start, duration, before, STILL))
     return tuple(result)
-
-
-def endless(way: tuple[Stretch, ...]) -> tuple[Stretch, ...]:
-    """The stretches, followed by an endless rest if they end at rest."""
-    last = way[-1]
-    if last.profile == STILL or _ends(last)[1]:
-        return way
-    return (*way, Stretch(last.stop, math.inf, last.direction, STILL))
 
 
 def speed(way: Sequence[Stretch], t: np.ndarray) -> np.ndarray:

@@ -170,13 +170,11 @@ class Scene:
 
     def speeds(self, t) -> np.ndarray:
         """sigma of every contact at times t [s]: t.shape + (n_contacts,), m/s."""
-        ways = (contact.whole_way(self.profile, self.duration) for contact in self.contacts)
-        return np.stack([speed(way, t) for way in ways], axis=-1)
+        return np.stack([speed(self.way(i), t) for i in range(len(self.contacts))], axis=-1)
 
     def path_length(self, t: float) -> float:
         """The longest path of a contact until time t [s], m."""
-        ways = (contact.whole_way(self.profile, self.duration) for contact in self.contacts)
-        return max(length(way, t) for way in ways)
+        return max(length(self.way(i), t) for i in range(len(self.contacts)))
 
     def _check_parts(self) -> None:
         """Check types, and convert values to immutable ones."""
