@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -115,10 +116,8 @@ class ChartContact:
         what = f"{self._where}: {solver}: evaluations of the plan's chart equations"
         remedy = "give a greater tolerance, use the default method"
         machine = SystemMachine(self._system, "derivatives")
-        state, held = self._system.place(float(self._edges[0]), [start])
-        ends = np.cumsum([1, len(state), self._system.n_w])
-        time, place, pushes, kept = np.split(machine.point, ends)
-        kept[:] = held
+        state = self._system.place(float(self._edges[0]), [start])[0]
+        time, place, pushes = np.split(machine.point, [1, 1 + len(state)])
         times, steps = [self._edges[0]], []
         tolerances = {"rtol": max(tolerance, 3e-14), "atol": tolerance}
         for a, b, acting in zip(self._edges, self._edges[1:], self._acting):
@@ -155,31 +154,25 @@ class ChartContact:
         t = np.append(ends[:-1, None] + np.diff(ends)[:, None] * parts, ends[-1])
         scene = self._system.scene
         for side, surface in enumerate((scene.contacts[0].finger, scene.object)):
-
-            def regular(t: np.ndarray, side: int = side) -> np.ndarray:
-                return np.abs(self._output("regularity", t, *self._at(t))[:, side])
-
-            lost = _zero(regular, t)
+            lost = _zero(partial(self._regularity, side), t)
             if lost is not None:
                 u, v = self._solution(lost)[4 * side : 4 * side + 2].tolist()
                 raise passed(self._where, surface, (u, v))
 
-    def _at(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States (9, n_times) and disturbances (6, n_times)."""
-        interval = np.searchsorted(self._edges[1:-1], t, side="right")
-        return self._solution(t), self._acting[interval].T
+    def _regularity(self, side: int, t: np.ndarray) -> np.ndarray:
+        return np.abs(self._output("regularity", t)[:, side])
 
-    def _output(self, name: str, t: np.ndarray, x: np.ndarray, w: np.ndarray) -> np.ndarray:
+    def _output(self, name: str, t: np.ndarray) -> np.ndarray:
         """An output of the system: (n_times, n)."""
-        system = self._system
-        return system.function(name)(t[None], x, w, system.held0, system.parameters).full().T
+        system, interval = self._system, np.searchsorted(self._edges[1:-1], t, side="right")
+        given = t[None], self._solution(t), self._acting[interval].T, system.held0
+        return system.function(name)(*given, system.parameters).full().T
 
     def result(self, name: str, t: np.ndarray) -> np.ndarray:
         """A result of a plan for this contact: (n_times, ...)."""
         if not len(t):
             return np.empty((0, *SHAPES[name]))
-        x, w = self._at(t)
-        values = self._output(OUTPUTS.get(name, name), t, x, w)
+        values = self._output(OUTPUTS.get(name, name), t)
         if name == "slip_speed":
             return np.hypot(*values.T)
         if name == "pose":
