@@ -10,7 +10,6 @@ import numpy as np
 
 from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor
 from contact_system.engine.binding import SURFACES
-from contact_system.planning.motion import MAY_BE_SINGULAR
 from contact_system.surfaces import Ellipsoid, Surface, Torus
 from contact_system.theory.gain import LAWS
 from contact_system.theory.lowering import Table as Instructions
@@ -46,9 +45,8 @@ class _Data:
 
     def table(self, t: Any) -> list[float]:
         """Add a table's instructions; returns its row."""
-        sizes = (t.n_in, t.n_const, t.n_out, len(t.literals), t.first_lit, t.first_out, t.n_regs)
         code = (self.put(words.astype("<u2").tobytes()) for words in (t.prologue, t.body))
-        return [*sizes, *code, self.numbers(t.literals)]
+        return [*t.sizes, *code, self.numbers(t.literals)]
 
 
 def scene_data(table: Table, token: str) -> bytes:
@@ -144,9 +142,8 @@ def _surface(surface: Surface, data: _Data) -> list[float]:
     """The row of a surface, by its number in the engine or with its tables."""
     if surface.table_name is not None:
         return [list(SURFACES).index(surface.table_name), *[0.0] * 19]
-    flags = 0 if surface.has_implicit else MAY_BE_SINGULAR
-    found: list[float] = [-1, len(surface.numbers), surface.double_cover, flags]
-    found += [period or 0.0 for period in surface.periods()]
+    own = surface.engine_data
+    found = [-1, own.n_numbers, own.double_cover, own.flags, own.period_u, own.period_v]
     for table in (*surface.tables.ambient, *surface.tables.chart):
         found.append(0 if table is None else data.numbers(data.table(table)))
     return found

@@ -183,13 +183,11 @@ class Builtins:
 
     Attributes
     ----------
-    address : int
-        Address of the ``surface_t``.
     ambient, chart, other : tuples of Builtin or None
     """
 
     def __init__(self, data: SurfaceData):
-        self.address, self._data = ctypes.addressof(data), data
+        self._data = data
 
     @property
     def geodesic(self) -> Builtin:
@@ -219,39 +217,17 @@ def _surfaces() -> dict[str, SurfaceData]:
 
 
 SURFACES = _surfaces()
-_BUILTINS: dict[str, Builtins] = {}
 
 
+@functools.cache
 def builtin(name: str) -> Builtins:
     """The tables of a bundled surface by its ``table_name``."""
-    if name not in _BUILTINS:
-        _BUILTINS[name] = Builtins(SURFACES[name])
-    return _BUILTINS[name]
+    return Builtins(SURFACES[name])
 
 
 def contact_table(index: int) -> Builtin:
     """One of the tables of contacts, by its index in engine.h."""
     return _builtin_table(_LIBRARY.contact_table(index))
-
-
-def _data_of(table: Any) -> TableData:
-    """The ``table_t`` of a `lowering.Table`, stored in it, as it points into its arrays."""
-    data = table.__dict__.get("_data")
-    if data is None:
-        data = table.__dict__["_data"] = TableData(
-            table.n_in,
-            table.n_const,
-            table.n_out,
-            len(table.literals),
-            table.first_lit,
-            table.first_out,
-            table.n_regs,
-            -1,
-            table.prologue.ctypes.data,
-            table.body.ctypes.data,
-            table.literals.ctypes.data,
-        )
-    return data
 
 
 def address(array: np.ndarray) -> int:
@@ -260,29 +236,6 @@ def address(array: np.ndarray) -> int:
         return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
     except (TypeError, ValueError):  # read-only, or empty
         return array.ctypes.data
-
-
-def table_address(table: Any) -> int:
-    """Address of the ``table_t`` of a table."""
-    return table.address if isinstance(table, Builtin) else ctypes.addressof(_data_of(table))
-
-
-def surface_data(
-    tables: Any,
-    n_numbers: int,
-    double_cover: bool,
-    closed: int,
-    flags: int,
-    periods: Sequence[float | None],
-) -> SurfaceData:
-    """The ``surface_t`` of a user's surface; it points to the tables."""
-    made = SurfaceData(
-        b"", n_numbers, double_cover, closed, flags, *(period or 0.0 for period in periods)
-    )
-    for group in ("ambient", "chart", "other"):
-        for k, table in enumerate(getattr(tables, group)):
-            getattr(made, group)[k] = None if table is None else table_address(table)
-    return made
 
 
 def sign_changes(
@@ -314,7 +267,7 @@ def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:
     constants = np.ascontiguousarray(constants, dtype=float)
     out = np.empty((table.n_out, points.shape[1]))
     code = _run(
-        table_address(table),
+        table.address,
         points.shape[1],
         address(points),
         address(constants),
@@ -347,7 +300,7 @@ def leave(level: Any, numbers: np.ndarray, size: float, ray: np.ndarray) -> np.n
         function is too steep or not a number.
     """
     t = np.empty(ray.shape[1])
-    if _rays(table_address(level), address(numbers), size, len(t), address(ray), address(t)):
+    if _rays(level.address, address(numbers), size, len(t), address(ray), address(t)):
         raise MemoryError
     return t
 

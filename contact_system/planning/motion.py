@@ -180,27 +180,6 @@ def _solved_frames(scene: Scene, begins: Sequence[Any]) -> dict[int, list[Number
     return frames
 
 
-MAY_BE_SINGULAR = 1  # surface_t.flags: where the chart is singular is unknown
-
-
-def _surface_address(surface: Surface) -> int:
-    """Address of the engine's ``surface_t``; a user's surface keeps the one made for it."""
-    if surface.table_name is not None:
-        return surface.tables.address
-    data = surface.__dict__.get("_engine_data")
-    if data is None:
-        data = binding.surface_data(
-            surface.tables,
-            len(surface.numbers),
-            surface.double_cover,
-            surface.closed_form,
-            0 if surface.has_implicit else MAY_BE_SINGULAR,
-            surface.periods(),
-        )
-        surface.__dict__["_engine_data"] = data
-    return ctypes.addressof(data)
-
-
 # --- the motion ----------------------------------------------------------------------------------
 
 
@@ -224,8 +203,8 @@ class Motion:
     def __init__(self, scene: Scene, buffer: Buffer):
         self.scene, self._count = scene, buffer.count
         self._surfaces = buffer.surfaces  # kept: the engine points into their tables
-        addresses = map(_surface_address, self._surfaces)
-        self._addresses = (ctypes.c_void_p * len(self._surfaces))(*addresses)
+        addresses = [ctypes.addressof(surface.engine_data) for surface in self._surfaces]
+        self._addresses = (ctypes.c_void_p * len(addresses))(*addresses)
         self._anchored = False
         failure, size = binding.Failure(), len(buffer.numbers) // 8
         plan = binding.plan(buffer.numbers, size, ctypes.addressof(self._addresses), byref(failure))

@@ -48,21 +48,21 @@ class Follower:
     """
 
     def __init__(self, surface: Surface):
-        tables, at, self.space = surface.tables, binding.table_address, prefers_space(surface)
+        tables, self.space = surface.tables, prefers_space(surface)
         names = ("restore", "second") if self.space else ("frame", "lame")
         group, order = (tables.ambient, IN_SPACE) if self.space else (tables.chart, IN_CHART)
         self.tables = [group[order.index(name)] for name in names]
         self.detail = 0.3 * min(surface.bend, 0.5 * surface.size)
-        first, second = map(at, self.tables)
+        first, second = (table.address for table in self.tables)
         self.how = binding.Followed(
-            at(tables.geodesic),
+            tables.geodesic.address,
             *((first, second, None) if self.space else (None, first, second)),
             binding.address(surface.numbers),
             surface.size,
             self.detail,
             surface.reach * surface.size / 8,
         )
-        self.shape = at(group[order.index("shape")])
+        self.shape = group[order.index("shape")].address
         self._surface = surface  # kept alive with its numbers
 
     def __call__(self, start: Array, length: Array, tolerance: Any, samples: int = 0) -> Array:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import finite_number, real_array, shaped_array
-from ..engine.binding import builtin, run
+from ..engine.binding import SURFACES, SurfaceData, builtin, run
 from ..errors import ChartSingularity, SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
@@ -37,6 +37,7 @@ from .charts import Array, Chart, Frame, Pair, Periods
 # surface's size. A pole given with 16 digits has 1e-16, a point 1e-9 rad away from it 1e-9.
 SINGULAR = 1e-12
 GEOMETRY, INVERSE, RAY = range(3)  # indices in the group ``other`` of the tables
+MAY_BE_SINGULAR = 1  # surface_t.flags: where the chart is singular is unknown
 LEAST_LENGTH = 1e-150  # m; the square of less underflows
 
 
@@ -114,6 +115,19 @@ class Surface:
         """The tables of instructions of this structure, in groups ambient, chart and other."""
         name = self.table_name
         return lowered(self) if name is None else builtin(name)
+
+    @kept
+    def engine_data(self) -> SurfaceData:
+        """The engine's ``surface_t``, which points to the tables."""
+        if self.table_name is not None:
+            return SURFACES[self.table_name]
+        flags, periods = 0 if self.has_implicit else MAY_BE_SINGULAR, self.periods()
+        sizes = len(self.numbers), self.double_cover, self.closed_form, flags
+        made = SurfaceData(b"", *sizes, *(period or 0.0 for period in periods))
+        for group in ("ambient", "chart", "other"):
+            for k, table in enumerate(getattr(self.tables, group)):
+                getattr(made, group)[k] = table and table.address
+        return made
 
     @property
     def size(self) -> float:

@@ -70,8 +70,7 @@ class Writer:
         literals, text = table.literals.tolist(), table.twin() if hot else None
         named = self._named("double {}[]", "literals", literals) if literals else None
         twin = -1 if text is None else self.twins.setdefault(text, len(self.twins))
-        sizes = (table.n_in, table.n_const, table.n_out, len(literals), table.first_lit)
-        return [*sizes, table.first_out, table.n_regs, twin, prologue, body, named]
+        return [*table.sizes, twin, prologue, body, named]
 
     def surface(self, surface: Surface) -> list[Any]:
         """Return the fields of a surface_t."""

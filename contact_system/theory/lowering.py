@@ -12,6 +12,7 @@ becomes a multiplication by the inverse, which is much faster.
 from __future__ import annotations
 
 import copy
+import ctypes
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ..engine.binding import TableData
 from ..errors import ContactSystemError
 from ..kept import kept
 from . import symbols as ca
@@ -279,6 +281,22 @@ class Table:
                 self.n_regs = max(self.n_regs, place[k] + 1)
             (prologue if values.uniform[k] else body).append((name, place[k], registers))
         self.prologue, self.body = _words(prologue), _words(body + copies)
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """The first fields of the engine's ``table_t``."""
+        counts = self.n_in, self.n_const, self.n_out, len(self.literals)
+        return *counts, self.first_lit, self.first_out, self.n_regs
+
+    @kept
+    def data(self) -> TableData:
+        """The engine's ``table_t``, which points into this table's arrays."""
+        arrays = self.prologue, self.body, self.literals
+        return TableData(*self.sizes, -1, *(array.ctypes.data for array in arrays))
+
+    @property
+    def address(self) -> int:
+        return ctypes.addressof(self.data)
 
     def twin(self) -> str | None:
         """C text that does the same to registers r as the body; None if it calls functions.
