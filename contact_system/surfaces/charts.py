@@ -98,10 +98,11 @@ class Chart:
         x_axis, y_axis, m = ca.substitute(frame, [q], [ca.vertcat(*self.coordinates(x))])
         return x_axis, y_axis, m
 
-    @staticmethod
-    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
+    @classmethod
+    def wrap(cls, u: Angle, v: Angle) -> tuple[Angle, Angle]:
         """Return the same point in the principal range; coordinates in range are not changed."""
-        return u, v
+        around_u, around_v = cls.periods
+        return wrap_angle(u) if around_u else u, wrap_angle(v) if around_v else v
 
     def floor(self, u: float, v: float) -> float:
         """Return a lower bound of the diagonal of the metric root, m; 0 if none is known.

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from ..theory import symbols as ca
 from .base import OfLengths
-from .charts import TURN, Angle, Chart, Pair, wrap_angle
+from .charts import TURN, Chart, Pair
 
 
 class RoundCylinderChart(Chart):
@@ -24,10 +24,6 @@ class RoundCylinderChart(Chart):
 
     def coordinates(self, x: ca.SX) -> Pair:
         return ca.atan2(x[1], x[0]), x[2]
-
-    @staticmethod
-    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
-        return wrap_angle(u), v
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -115,8 +115,8 @@ class JacobiChart(Chart):
         )
         return f_u / h_u, f_v / h_v, diagonal(h_u, h_v)
 
-    @staticmethod
-    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
+    @classmethod
+    def wrap(cls, u: Angle, v: Angle) -> tuple[Angle, Angle]:
         v, beyond = fold_latitude(v)
         return wrap_angle(choose(beyond, -u, u)), v
 
@@ -150,8 +150,8 @@ class OblateChart(Chart):
         y_axis = ca.vertcat(outward * cos_u, outward * sin_u, upward) / h_v
         return ca.vertcat(-sin_u, cos_u, 0), y_axis, diagonal(rho, h_v)
 
-    @staticmethod
-    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
+    @classmethod
+    def wrap(cls, u: Angle, v: Angle) -> tuple[Angle, Angle]:
         v, beyond = fold_latitude(v)
         return wrap_angle(choose(beyond, u + math.pi, u)), v
 

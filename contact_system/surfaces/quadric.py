@@ -23,7 +23,6 @@ class OneSheetChart(Chart):
     """(a cosh v cos u, b cosh v sin u, c sinh v): hyperboloid of one sheet, p = (a, b, c)."""
 
     periods = (TURN, None)
-    wrap = RoundCylinderChart.wrap
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         a, b, c = self.p[0], self.p[1], self.p[2]

@@ -33,8 +33,8 @@ class PolarChart(Chart):
         x_axis = ca.vertcat(cos_u * cos_v, cos_u * sin_v, -rho / r)
         return x_axis, ca.vertcat(-sin_v, cos_v, 0), diagonal(r, rho)
 
-    @staticmethod
-    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
+    @classmethod
+    def wrap(cls, u: Angle, v: Angle) -> tuple[Angle, Angle]:
         u = wrap_angle(u)
         # (-u, v) is the point (u, v + pi), but there f_u x f_v points into the body.
         return abs(u), wrap_angle(choose(u < 0, v + math.pi, v))

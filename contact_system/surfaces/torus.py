@@ -8,7 +8,7 @@ from typing import ClassVar
 from ..errors import SurfaceError
 from ..theory import symbols as ca
 from .base import OfLengths
-from .charts import TURN, Angle, Chart, Frame, Pair, diagonal, hypot, wrap_angle
+from .charts import TURN, Chart, Frame, Pair, diagonal, hypot
 
 
 class TorusChart(Chart):
@@ -31,10 +31,6 @@ class TorusChart(Chart):
         cos_v, sin_v = (rho - self.p[0]) / self.p[1], x[2] / self.p[1]
         y_axis = ca.vertcat(-sin_v * cos_u, -sin_v * sin_u, cos_v)
         return ca.vertcat(-sin_u, cos_u, 0), y_axis, diagonal(rho, self.p[1])
-
-    @staticmethod
-    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
-        return wrap_angle(u), wrap_angle(v)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
