@@ -9,8 +9,9 @@ T = TypeVar("T")
 
 
 class kept(Generic[T]):
-    """An attribute computed at its first access; two threads may both compute it.
+    """An attribute computed at its first access; threads that compute it at once get the first.
 
+    It is stored under its name, so do not ask ``super()`` for it.
     This is ``functools.cached_property`` without its lock. Until Python 3.12 that lock is shared by
     all instances, so a thread that holds it and waits for another lock may deadlock.
     """
@@ -21,7 +22,4 @@ class kept(Generic[T]):
     def __get__(self, instance: Any, owner: type | None = None) -> T:
         if instance is None:
             return self  # type: ignore[return-value]
-        known = instance.__dict__
-        if self.name not in known:
-            known[self.name] = self.find(instance)
-        return known[self.name]
+        return instance.__dict__.setdefault(self.name, self.find(instance))

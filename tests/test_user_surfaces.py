@@ -271,9 +271,32 @@ with ThreadPoolExecutor(8) as executor:
 """
 
 
-def test_formulas_are_read_in_many_threads():
-    """In a process of its own: constants of CasADi that two threads made at once ended it."""
-    assert subprocess.run([sys.executable, "-c", IN_THREADS], check=False).returncode == 0
+PLAN_AT_ONCE = """
+import dataclasses, sys
+from concurrent.futures import ThreadPoolExecutor
+import contact_system as cs
+
+waves = cs.ParametricSurface(("u", "v", "cos(u)*sin(v)"))
+finger = cs.Contact(cs.Sphere(0.04), (0, 0))
+
+def planned(scene):
+    return cs.plan(scene).points(1.0).tolist()
+
+sys.setswitchinterval(1e-6)
+with ThreadPoolExecutor(8) as executor:
+    for k in range(500):
+        surface = dataclasses.replace(waves, size=1 + 1e-9 * k)
+        scene = cs.Scene(object=surface, contacts=[finger], profile=cs.Profile([0.1]), duration=1.0)
+        first, *others = executor.map(planned, 8 * [scene])
+        assert others == 7 * [first]
+"""
+
+
+@pytest.mark.parametrize("program", [IN_THREADS, PLAN_AT_ONCE], ids=["read", "planned"])
+def test_formulas_are_used_in_many_threads(program):
+    """In a process of its own: constants of CasADi that two threads made at once ended it, and so
+    did tables of a surface that two threads made at once."""
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
 # --- errors

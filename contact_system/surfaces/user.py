@@ -199,7 +199,8 @@ class ParametricSurface(UserSurface):
 
     @kept
     def identity(self) -> Hashable:
-        return (super().identity, self.u_range, self.v_range)
+        ranges = self.u_range, self.v_range
+        return (self.structure, self.inside, self.parameters, self.size, self.periods(), ranges)
 
     def chart_expr(self, numbers: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
         return self.formula(numbers[1:], u, numbers[0] * v)
