@@ -67,6 +67,18 @@ def did_you_mean(word: object, known: Iterable[str]) -> str:
     return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""
 
 
+def one_of(
+    word: Any, known: Iterable[str], what: str, error: type[ContactSystemError] = SceneError
+) -> str:
+    """The word; raises the error for one that is not known, with the nearest that is."""
+    if not isinstance(word, str) or word not in known:
+        raise error(
+            f"{what} = {word!r} is unknown{did_you_mean(word, known)}; "
+            f"use one of {', '.join(known)}"
+        )
+    return word
+
+
 def known_keys(table: Mapping, known: Iterable[str], place: str = "") -> None:
     """Raise a SceneError for the first unknown key, with the nearest known one."""
     for key in table:

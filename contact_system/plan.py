@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import FLOAT, a_path, did_you_mean, finite_number, flag, shaped_array, whole_number
+from .checks import FLOAT, a_path, finite_number, flag, one_of, shaped_array, whole_number
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .planning.motion import SHAPES, Buffer, Motion
 from .planning.starts import Starts, measured_start, on_branch
@@ -93,10 +93,8 @@ class Plan:
         start: float = 0.0,
         starts: Starts | None = None,
     ):
-        if method not in METHODS:
-            raise SceneError(f"method = {method!r}: use one of {', '.join(METHODS)}")
-        if solver not in SOLVERS:
-            raise SceneError(f"solver = {solver!r}: use one of {', '.join(SOLVERS)}")
+        one_of(method, METHODS, "method")
+        one_of(solver, SOLVERS, "solver")
         require_scene(scene)
         self.scene, self.tolerance, self.method = scene, checked_tolerance(tolerance), method
         self.solver, self.start, self.starts = solver, start, starts
@@ -152,10 +150,7 @@ class Plan:
             )
         for name in names:
             if not isinstance(name, str) or name not in SHAPES:
-                raise ContactSystemError(
-                    f"{self.scene.title}: result {name!r} is unknown{did_you_mean(name, SHAPES)}; "
-                    f"use one of {', '.join(SHAPES)}"
-                )
+                one_of(name, SHAPES, f"{self.scene.title}: result", ContactSystemError)
         if "carried" in names:
             self._require_frames("carried")
         times = _one_axis(t)

@@ -37,7 +37,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import did_you_mean, flag, shaped_array
+from .checks import flag, one_of, shaped_array
 from .contact_equations import Form, contact_function
 from .engine.binding import Machine, contact_table, run
 from .errors import SceneError
@@ -100,9 +100,7 @@ class SceneSystem:
         require_scene(scene)
         if coordinates is None:
             coordinates = "frame" if without_chart(scene) else "chart"
-        if not isinstance(coordinates, str) or coordinates not in COORDINATES:
-            raise SceneError(f"coordinates = {coordinates!r}: use one of {', '.join(COORDINATES)}")
-        self.scene, self.coordinates = scene, coordinates
+        self.scene, self.coordinates = scene, one_of(coordinates, COORDINATES, "coordinates")
         self.disturbance_input = flag(disturbance_input, "disturbance_input")
         self._require_possible()
         n = len(scene.contacts)
@@ -250,12 +248,7 @@ class SceneSystem:
     def _expression(self, output: str) -> ca.SX:
         with making_symbols():
             known = self._expressions
-        if not isinstance(output, str) or output not in known:
-            raise SceneError(
-                f"{self.scene.title}: output = {output!r} is unknown"
-                f"{did_you_mean(output, known)}; use one of {', '.join(known)}"
-            )
-        return known[output]
+        return known[one_of(output, known, f"{self.scene.title}: output")]
 
     def depends(self, output: str) -> set[str]:
         """The inputs among t, x, w, held, p that an output of :meth:`function` depends on."""

@@ -15,6 +15,7 @@ from contact_system.checks import (
     flag,
     known_keys,
     naming,
+    one_of,
 )
 from contact_system.scene import require_scene
 from contact_system.system import COORDINATES
@@ -251,8 +252,7 @@ class StationConfig:
             value = getattr(self, key)
             if value is None and key in ("coordinates", "forces"):
                 continue
-            if not isinstance(value, str) or value not in words:
-                raise SceneError(f"{key} = {value!r}: use one of {', '.join(words)}")
+            one_of(value, words, key)
         for bound, keys in NUMBERS.items():
             for key in keys:
                 if getattr(self, key) is not None or key not in OPTIONAL:

@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
-from contact_system.checks import items_of
+from contact_system.checks import items_of, one_of
 from contact_system.engine.binding import LIBRARY
 from contact_system.engine.platforms import FLAGS, PLATFORMS, Platform, shared
 from contact_system.errors import ContactSystemError
@@ -45,9 +45,7 @@ def native_platform() -> str:
 
 def _platform(target: str) -> Platform:
     """The row of `PLATFORMS`."""
-    if target != "native" and target not in PLATFORMS:
-        known = ", ".join(["native", *PLATFORMS])
-        raise ContactSystemError(f"platform {target!r} is unknown; use one of {known}")
+    one_of(target, ["native", *PLATFORMS], "platform", ContactSystemError)
     return PLATFORMS[native_platform() if target == "native" else target]
 
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from contact_system.checks import one_of
 from contact_system.errors import SceneError
 from contact_system.kept import kept
 from contact_system.scene import Scene, require_scene
@@ -126,8 +127,7 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
         profile of too many coefficients; measurements where a surface has no chart.
     """
     require_scene(scene)
-    if measured not in MEASUREMENTS:
-        raise SceneError(f"measured = {measured!r}: use one of {', '.join(MEASUREMENTS)}")
+    one_of(measured, MEASUREMENTS, "measured")
     bodies = {"object": scene.object} | {
         f"finger {i}": c.finger for i, c in enumerate(scene.contacts)
     }

@@ -631,7 +631,7 @@ def test_beyond_the_horizon_the_motion_goes_on_until_sigma_turns_negative(coordi
         ({"restart_period": 0}, "'K1': restart_period = 0: give a finite number"),
         ({"restart_distance": -1}, "'K1': restart_distance = -1: give a finite number"),
         ({"disturbance_input": "no"}, "disturbance_input = 'no': give True or False"),
-        ({"coordinates": "frames"}, "coordinates = 'frames': use one of chart, frame"),
+        ({"coordinates": "frames"}, "'frames' is unknown .*'frame'.*use one of chart, frame"),
     ],
 )
 def test_options_that_cannot_be_are_refused(options, message):

@@ -266,7 +266,7 @@ def side_by_side(angle):
             {"contact_model": "point"},
             r"contact 0: contact_model = \"point\" is exact for a sphere on a sphere.*16 degrees",
         ),
-        (rolling(cs.Sphere(0.1)), {"contact_model": "soft"}, "contact_model = 'soft': use one of"),
+        (rolling(cs.Sphere(0.1)), {"contact_model": "soft"}, "'soft' is unknown.*use one of"),
         (rolling(cs.Sphere(0.1)), {"stiffness": 0}, "stiffness = 0: give a finite number above 0"),
         (
             rolling(cs.Sphere(0.1)),

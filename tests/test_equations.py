@@ -129,7 +129,7 @@ def test_method_chart_takes_any_of_scipys_solvers(solver):
         (one_contact("rounded cube"), {}, "scene '.*cube', contact 0: .* no explicit chart"),
         (one_contact(), {"solver": "Euler"}, "use one of RK23"),
         # it would be kept, and be told of too late
-        (one_contact(), {"solver": None, "method": "auto"}, "solver = None: use one of RK23"),
+        (one_contact(), {"solver": None, "method": "auto"}, "solver = None is unknown"),
     ],
 )
 def test_method_chart_refuses_what_its_equations_cannot_state(scene, given, words):

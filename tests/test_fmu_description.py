@@ -76,7 +76,7 @@ def test_units_follow_the_chart_and_are_made_of_base_units(version, written):
 def test_scenes_without_a_table_are_refused():
     with pytest.raises(cs.SceneError, match="no explicit chart.*leave measured out"):
         variable_table(cs.load_scene("implicit"), measured="states")
-    with pytest.raises(cs.SceneError, match="measured = 'all': use one of nothing, states, pose"):
+    with pytest.raises(cs.SceneError, match="'all' is unknown; use one of nothing, states, pose"):
         variable_table(K1, measured="all")
     with pytest.raises(cs.SceneError, match="^scene = 'K1': give a Scene, such as load_scene"):
         variable_table("K1")

@@ -76,7 +76,7 @@ def test_times_may_be_of_any_kind_of_number_and_memory(tmp_path):
             ({"tolerance": x}, "tolerance = .*: give a (finite number|number from 1e-15 to 1e-1)")
             for x in (0.0, -1e-9, 1e-16, 0.2, np.nan, np.inf, 10**400, "1e-6", True, None, 1j)
         ),
-        ({"method": "euler"}, "method = 'euler': use one of auto, chart"),
+        ({"method": "euler"}, "method = 'euler' is unknown; use one of auto, chart"),
         ({"scene": "K4"}, "scene = 'K4': give a Scene, such as load_scene"),
     ],
 )

@@ -24,6 +24,7 @@ from ..checks import (
     finite_number,
     known_keys,
     naming,
+    one_of,
     require_regular,
     within,
 )
@@ -155,12 +156,12 @@ def _made(kind: Any, value: Any, **defaults: Any) -> Any:
 def _disturbance(value: Any) -> Disturbance:
     table = dict(_table(value, required=("kind",), example='kind = "finger acceleration"'))
     kinds = {kind.kind: kind for kind in DISTURBANCE_KINDS}
-    return _made(kinds[_one_of(table.pop("kind"), kinds, "kind")], table)
+    return _made(kinds[one_of(table.pop("kind"), kinds, "kind")], table)
 
 
 def _gain(value: Any) -> Gain:
     table = _table(value, required=("law",), example='law = "time", eta = 100')
-    law = _one_of(table["law"], LAWS, "law")
+    law = one_of(table["law"], LAWS, "law")
     parameter = LAWS[law].parameter
     table = _table(table, ("law", parameter), (parameter,))
     return Gain(law, _numbers(table[parameter], parameter))
@@ -168,7 +169,7 @@ def _gain(value: Any) -> Gain:
 
 def _surface(value: Any) -> Surface:
     table = _table(value, required=("surface",), example='surface = "sphere", radius = 0.04')
-    name = _one_of(table["surface"], surfaces.KINDS, "surface")
+    name = one_of(table["surface"], surfaces.KINDS, "surface")
     keys = _surface_keys(name)
     required = [key for key, needed in keys.items() if needed]
     table = _table(table, ("surface", *keys, "inside"), required, place=f"{name}: ")
@@ -217,15 +218,6 @@ def _table(
             remedy = f"a table [[{key}]]" if key in _LISTS else f"{key} = ..."
             raise SceneError(f"{place}key '{key}' is missing; add {remedy}")
     return value
-
-
-def _one_of(word: Any, known: Iterable[str], what: str) -> str:
-    if not isinstance(word, str) or word not in known:
-        raise SceneError(
-            f"{what} = {word!r} is unknown{did_you_mean(word, known)}; "
-            f"use one of {', '.join(known)}"
-        )
-    return word
 
 
 def _with_numbers(table: dict, keys: Iterable[str] | None = None) -> dict:

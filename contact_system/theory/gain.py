@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import finite_number
+from ..checks import finite_number, one_of
 from ..engine.binding import sign_changes
 from ..errors import SceneError
 from .profile import (
@@ -107,11 +107,7 @@ class Gain:
     value: float
 
     def __post_init__(self) -> None:
-        if not isinstance(self.law, str) or self.law not in LAWS:
-            *others, last = map(repr, LAWS)
-            raise SceneError(
-                f"gain: law = {self.law!r} is unknown; use {', '.join(others)} or {last}"
-            )
+        one_of(self.law, LAWS, "gain: law")
         value = finite_number(self.value, f"gain: {self.parameter}")
         if value < 0:
             raise SceneError(
