@@ -67,6 +67,15 @@ def did_you_mean(word: object, known: Iterable[str]) -> str:
     return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""
 
 
+def of_kind(
+    kind: Any, value: Any, what: str, remedy: str, error: type[ContactSystemError] = SceneError
+) -> Any:
+    """The value; raises the error with the remedy if it is no instance of the kind."""
+    if not isinstance(value, kind):
+        raise error(f"{what} = {value!r:.80}: give {remedy}")
+    return value
+
+
 def one_of(
     word: Any, known: Iterable[str], what: str, error: type[ContactSystemError] = SceneError
 ) -> str:
@@ -218,9 +227,8 @@ def flag(value: Any, what: str, none: bool = False) -> Any:
     """The value as a bool, or None if that is allowed; raises a SceneError for any other."""
     if none and value is None:
         return None
-    if not isinstance(value, (bool, np.bool_)):  # "no" would count as true
-        raise SceneError(f"{what} = {value!r}: give True or False" + ", or None" * none)
-    return bool(value)
+    remedy = "True or False" + ", or None" * none  # "no" would count as true
+    return bool(of_kind((bool, np.bool_), value, what, remedy))
 
 
 def a_path(value: Any, what: str = "path") -> Path:

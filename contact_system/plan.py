@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import FLOAT, a_path, finite_number, flag, one_of, shaped_array, whole_number
+from .checks import FLOAT, a_path, finite_number, flag, of_kind, one_of, shaped_array, whole_number
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .planning.motion import SHAPES, Buffer, Motion
 from .planning.starts import Starts, measured_start, on_branch
@@ -478,8 +478,7 @@ def _one_axis(t: ArrayLike) -> np.ndarray:
 
 def require_plan(value: Any) -> None:
     """Raise a ContactSystemError where something else is given, such as a scene."""
-    if not isinstance(value, Plan):
-        raise ContactSystemError(f"plan = {value!r:.80}: give a Plan, such as plan(scene)")
+    of_kind(Plan, value, "plan", "a Plan, such as plan(scene)", ContactSystemError)
 
 
 def load(path: str | os.PathLike) -> Plan:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..checks import did_you_mean, finite_number, finite_numbers, is_plain, within
+from ..checks import did_you_mean, finite_number, finite_numbers, is_plain, of_kind, within
 from ..errors import SceneError
 from ..surfaces import Surface
 from ..theory.profile import Numbers, Profile
@@ -32,16 +32,8 @@ def pair(value: Any, what: str, words: Sequence[str] = ()) -> Pair:
     raise SceneError(f"{what} = {value!r}: give two numbers{choice}")
 
 
-def a_surface(value: Any, what: str) -> Surface:
-    if not isinstance(value, Surface):
-        raise SceneError(f"{what} = {value!r}: give a surface, such as Sphere(0.04)")
-    return value
-
-
 def a_text(value: Any, what: str) -> str:
-    if not isinstance(value, str):
-        raise SceneError(f"{what} = {value!r}: give a text in quotes")
-    return value
+    return of_kind(str, value, what, "a text in quotes")
 
 
 def all_of(kind: type | tuple[type, ...], values: Any, what: str, names: str) -> tuple:
@@ -127,7 +119,7 @@ class Contact:
 
     def __post_init__(self) -> None:
         a_text(self.name, "name")
-        a_surface(self.finger, "finger")
+        of_kind(Surface, self.finger, "finger", "a surface, such as Sphere(0.04)")
         put = object.__setattr__
         put(self, "object_at", pair(self.object_at, "object_at"))
         put(self, "finger_at", pair(self.finger_at, "finger_at"))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..checks import finite_number, naming
+from ..checks import finite_number, naming, of_kind
 from ..errors import SceneError
 from ..theory.profile import Profile, clear_value, polynomial
 
@@ -65,8 +65,7 @@ class Leg:
                 raise SceneError("length = None: give a length, or a profile")
             put(self, "profile", rest_to_rest(self.length, self.duration))
             return
-        if not isinstance(self.profile, Profile):
-            raise SceneError(f"profile = {self.profile!r}: give a Profile")
+        of_kind(Profile, self.profile, "profile", "a Profile")
         if any(self.profile.coefficients):
             self.profile.check(self.duration)
         own = float(self.profile.arc_length(self.duration))

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import did_you_mean, finite_number, known_keys, naming, within
+from ..checks import did_you_mean, finite_number, known_keys, naming, of_kind, within
 from ..errors import ContactSystemError, SceneError
 from ..surfaces import Surface
 from ..surfaces.charts import fold_latitude
 from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
-from .contact import Contact, Pair, Turning, a_surface, a_text, all_of
+from .contact import Contact, Pair, Turning, a_text, all_of
 from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
 from .legs import STILL, Stretch, check_legs, length, speed
 
@@ -179,7 +179,11 @@ class Scene:
     def _check_parts(self) -> None:
         """Check types, and convert values to immutable ones."""
         put = object.__setattr__
-        a_surface(self.object, "object")
+        of_kind(Surface, self.object, "object", "a surface, such as Sphere(0.1)")
+        of_kind(Profile, self.profile, "profile", "a Profile, such as Profile([0.1, 0.2])")
+        of_kind(Gain, self.gain, "gain", "a Gain, such as Gain.path(100)")
+        turning = "a Turning, such as Turning((0, 0, 1), [0, 0.5])"
+        of_kind((Turning, type(None)), self.turning, "turning", turning)
         put(self, "contacts", all_of(Contact, self.contacts, "contacts", "Contact"))
         if not self.contacts:
             raise SceneError("contacts = []: a scene needs at least one contact")
@@ -188,14 +192,6 @@ class Scene:
             put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", names))
         if self.chosen != ():
             put(self, "chosen", all_of(str, self.chosen, "chosen", "text"))
-        for key, kind, example in (
-            ("profile", Profile, "Profile([0.1, 0.2])"),
-            ("gain", Gain, "Gain.path(100)"),
-            ("turning", Turning, "Turning((0, 0, 1), [0, 0.5])"),
-        ):
-            value = getattr(self, key)
-            if not isinstance(value, kind) and not (key == "turning" and value is None):
-                raise SceneError(f"{key} = {value!r}: give a {kind.__name__}, such as {example}")
         for key in ("name", "description", "source"):
             a_text(getattr(self, key), key)
         for key in ("paper", "drake"):
@@ -324,8 +320,7 @@ def refuse_scene_keys(table: Mapping, own: Iterable[str]) -> None:
 
 def _plain_table(table: Any, what: str) -> dict[str, Any]:
     """A copy of a table that holds only what a scene file can hold."""
-    if not isinstance(table, Mapping):
-        raise SceneError(f"{what} = {table!r}: give a table")
+    of_kind(Mapping, table, what, "a table")
     with naming(what):
         return {key: _plain(value, key) for key, value in table.items()}
 
@@ -370,5 +365,4 @@ def refuse_rest(scene: Scene, contact: int, start: float, stop: float) -> None:
 
 def require_scene(scene: Any) -> None:
     """Raise a SceneError for anything but a Scene, such as a scene's name."""
-    if not isinstance(scene, Scene):
-        raise SceneError(f'scene = {scene!r:.80}: give a Scene, such as load_scene("K4")')
+    of_kind(Scene, scene, "scene", 'a Scene, such as load_scene("K4")')

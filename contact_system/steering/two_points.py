@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import finite_number, shaped_array, whole_number
+from ..checks import finite_number, of_kind, shaped_array, whole_number
 from ..engine import binding
 from ..errors import SurfaceError
 from ..kept import kept
@@ -165,8 +165,7 @@ class Pairs:
     """Pairs of points, and states from which geodesics start at the first ones."""
 
     def __init__(self, surface: Surface, a: ArrayLike, b: ArrayLike):
-        if not isinstance(surface, Surface):
-            raise SurfaceError(f"surface = {surface!r:.80}: give a Surface")
+        of_kind(Surface, surface, "surface", "a Surface", SurfaceError)
         self.surface, self.follow = surface, Follower(surface)
         places = [self._placed(name, w) for name, w in (("a", a), ("b", b))]
         try:

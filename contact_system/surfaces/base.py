@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import finite_number, real_array, shaped_array
+from ..checks import finite_number, of_kind, real_array, shaped_array
 from ..engine.binding import SURFACES, SurfaceData, builtin, run
 from ..errors import ChartSingularity, SurfaceError
 from ..kept import kept
@@ -59,11 +59,8 @@ class Surface:
     inside: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.inside, (bool, np.bool_)):
-            raise SurfaceError(
-                f"{self._kind}: inside = {self.inside!r} must be True or False; True puts the "
-                "body on the other side, as for a bowl"
-            )
+        remedy = "True or False; True puts the body on the other side, as for a bowl"
+        of_kind((bool, np.bool_), self.inside, f"{self._kind}: inside", remedy, SurfaceError)
         store(self, inside=bool(self.inside))
 
     # -- what a surface is

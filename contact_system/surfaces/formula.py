@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import finite_number
+from ..checks import finite_number, of_kind
 from ..errors import SurfaceError
 from ..expressions import FUNCTIONS, parse
 from ..theory import symbols as ca
@@ -119,8 +119,7 @@ def _named(parameters: Any, letters: str) -> dict[str, float]:
     """Return the named parameters, sorted by name."""
     if parameters is None:
         return {}
-    if not isinstance(parameters, Mapping):
-        raise SurfaceError(f'parameters = {parameters!r} must be a table such as {{"R": 0.1}}')
+    of_kind(Mapping, parameters, "parameters", 'a table, such as {"R": 0.1}', SurfaceError)
     for name in parameters:
         if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
             raise SurfaceError(f"parameter name {name!r} must be a plain word")
