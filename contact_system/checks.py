@@ -193,6 +193,7 @@ def shaped_array(
     shape: tuple[int, ...] | None = None,
     error: type[ContactSystemError] = SceneError,
     remedy: str = "numbers",
+    finite: bool = False,
 ) -> np.ndarray:
     """The values as an array of floats; raises the error for others, or for another shape."""
     try:
@@ -202,6 +203,8 @@ def shaped_array(
         raise error(f"{what} = {values!r:.80}: give {remedy}") from None
     if shape is not None and array.shape != shape:
         raise error(f"{what} has shape {array.shape}; give {shape}")
+    if finite and not np.isfinite(array).all():
+        raise error(f"{what} has a NaN or infinity; give finite {remedy}")
     return array
 
 

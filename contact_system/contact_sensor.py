@@ -91,10 +91,7 @@ def measured_states(
 def _given(scene: Scene, name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     """A finite measurement of every contact."""
     shape = (len(scene.contacts), *shape)
-    array = shaped_array(value, f"{scene.title}: {name}", shape, ContactSystemError)
-    if not np.isfinite(array).all():
-        raise ContactSystemError(f"{scene.title}: {name} has a NaN or infinity")
-    return array
+    return shaped_array(value, f"{scene.title}: {name}", shape, ContactSystemError, finite=True)
 
 
 class ContactSensor:

@@ -68,10 +68,8 @@ class Geodesic:
 
     def points(self, s: ArrayLike) -> Array:
         """Points at lengths s from a, m, shape (*s.shape, ..., 3), m."""
-        what = f"{self.surface!r}: s"
-        distances = shaped_array(s, what, error=SurfaceError, remedy="lengths in m")
-        if not np.isfinite(distances).all():
-            raise SurfaceError(f"{what} = {s!r:.80}: give lengths in m")
+        what, remedy = f"{self.surface!r}: s", "lengths in m"
+        distances = shaped_array(s, what, error=SurfaceError, remedy=remedy, finite=True)
         lengths = np.repeat(distances.ravel(), self._start.shape[1])
         ends = self._ends(np.tile(self._start, (1, distances.size)), lengths)[:3]
         return ends.T.reshape(*distances.shape, *np.shape(self.length), 3)

@@ -390,13 +390,11 @@ class Surface:
         return u, v
 
     def _points(self, x: ArrayLike) -> Array:
-        points = shaped_array(x, f"{self!r}: points", error=SurfaceError)
+        points = shaped_array(x, f"{self!r}: points", error=SurfaceError, finite=True)
         if points.ndim == 0 or points.shape[-1] != 3:
             raise SurfaceError(
                 f"{self!r}: points have shape {points.shape}; the last axis must hold x, y, z"
             )
-        if not np.all(np.isfinite(points)):
-            raise SurfaceError(f"{self!r}: points must be finite numbers, got NaN or inf")
         return points
 
     def _evaluate(self, u: ArrayLike, v: ArrayLike, *names: str) -> list[Array]:

@@ -189,9 +189,7 @@ class Quadric(SecondDegree):
 
 def _symmetric(value: Any) -> Array:
     remedy = "a 3 by 3 matrix of numbers"
-    matrix = shaped_array(value, "Quadric: A", (3, 3), SurfaceError, remedy)
-    if not np.all(np.isfinite(matrix)):
-        raise SurfaceError(f"Quadric: A = {matrix.tolist()} must be finite")
+    matrix = shaped_array(value, "Quadric: A", (3, 3), SurfaceError, remedy, finite=True)
     if np.max(np.abs(matrix - matrix.T)) > 1e-15 * np.max(np.abs(matrix)):
         raise SurfaceError(
             f"Quadric: A = {matrix.tolist()} must be symmetric; use (A + A.T)/2, which gives the "
