@@ -89,7 +89,10 @@ class HandDriver(LeafSystem):
         self._at_q = [joint.position_start() for joint in joints]
         self._at_v = [joint.velocity_start() for joint in joints]
         self._free = scene_plant.object_body.floating_velocities_start_in_v()
-        self._table = _Table(plan)
+        self._motion = CubicHermiteSpline(plan.t, plan.q, plan.v)
+        pressing = np.stack([plan.forces, plan.normals], axis=1)
+        self._pressing = make_interp_spline(plan.t, pressing, k=1)
+        self._radii = np.array([[contact.finger.size] for contact in plan.rolling.contacts])
         tips = scene_plant.finger_bodies
         constants = [tip_constants(tip, scene_plant, hold=1.0) for tip in tips]
         self._own = PerThread(partial(_own, plan, constants), {})
@@ -110,23 +113,29 @@ class HandDriver(LeafSystem):
         """Torques of the joints, and what pushes on the tips are to them, (2, nq)."""
         (chains, laws), x = self._own.own, self._state.Eval(context)
         q, v = x[self._at_q], x[self._sizes[0] :][self._at_v]
-        want = self._table.at(context.get_time())
+        time, (first, last) = context.get_time(), self.plan.t[[0, -1]]
+        inside = min(max(time, first), last)
+        # before the first and after the last all rests
+        q_d, v_d, a_d = (self._motion(inside, k) for k in range(3))
+        if not first < time < last:
+            v_d = a_d = np.zeros(len(q_d))
         turn, shift = np.split(context.get_discrete_state_vector().value(), 2)
         R_WO = self._poses.Eval(context)[self._object].rotation().matrix()
         given = laws.x
         given["slip"][:] = 0.0
         if self._sliding.HasValue(context):
             given["slip"][:] = self._sliding.Eval(context).reshape(-1, 3) @ R_WO.T
-        for name in ("contact_force", "normal", "arm"):
-            given[name][:] = want[name]
-        chains.put(want["q"], want["v"])
-        for i, motion in enumerate(chains.motions(want["a"])):
+        given["contact_force"][:], given["normal"][:] = self._pressing(inside)
+        given["arm"][:] = self._radii * given["normal"]
+        place = self.plan.path.GetPose(inside).translation()
+        chains.put(q_d, v_d)
+        for i, motion in enumerate(chains.motions(a_d)):
             given["X_WT"][i], given["V_WT"][i], given["A_WT"][i] = motion
             p = given["X_WT"][i, :, 3]
-            p += shift + cross(turn, p - want["place"])
+            p += shift + cross(turn, p - place)
         chains.put(q, v)
-        back = POSTURE * (POSTURE * (want["q"] - q) + 2 * (want["v"] - v))
-        torque = chains.carrying(want["a"] + back)
+        back = POSTURE * (POSTURE * (q_d - q) + 2 * (v_d - v))
+        torque = chains.carrying(a_d + back)
         jacobians = [chains.jacobian(i) for i in range(len(chains.tips))]
         for i, J in enumerate(jacobians):
             given["X_WF"][i], given["V_WF"][i] = chains.pose(i).GetAsMatrix34(), J @ v
@@ -160,27 +169,3 @@ def _own(plan: Reorientation, constants: list[list[float]]) -> tuple[Chains, Fin
     """Links without tips, whose mass the law carries, and the law of all tips, for one thread."""
     laws = FingerTables(holding_law(), HELD, constants)
     return Chains(plan.hand, plan.rolling, 0.0, plan.config.gravity), laws
-
-
-class _Table:
-    """What is planned at any time: before the first and after the last all rests."""
-
-    def __init__(self, plan: Reorientation):
-        self._times = plan.t[0], plan.t[-1]
-        motion = CubicHermiteSpline(plan.t, plan.q, plan.v)
-        sizes = np.array([[c.finger.size] for c in plan.rolling.contacts])
-        given = {
-            "contact_force": plan.forces,
-            "normal": plan.normals,
-            "arm": sizes * plan.normals,
-            "place": plan.object_pose[:, :3, 3],
-        }
-        self._held = {name: make_interp_spline(plan.t, y, k=1) for name, y in given.items()}
-        self._held["q"] = motion
-        self._moving = {"v": motion.derivative(), "a": motion.derivative(2)}
-
-    def at(self, time: float) -> dict[str, Array]:
-        first, last = self._times
-        inside, moves = min(max(time, first), last), first < time < last
-        found = {name: curve(inside) for name, curve in self._held.items()}
-        return found | {name: moves * curve(inside) for name, curve in self._moving.items()}
