@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from scipy.interpolate import make_interp_spline
 
@@ -20,9 +19,8 @@ from .contact_monitor import ContactMonitor
 from .hand_driver import HandDriver
 from .hand_kinematics import moving_joints
 from .plant import AddScenePlant, ScenePlant
-from .recording import Recording
 from .reorientation import Reorientation
-from .simulation import LOGGED, Asked, Log, SimulationResult, film_path, measurements
+from .simulation import LOGGED, Asked, Run, SimulationResult
 from .station import add_pushes, wire
 
 Array = NDArray[np.float64]
@@ -86,40 +84,20 @@ def simulate_hand(
     require_config(plan, Reorientation, "plan")
     duration = plan.scene.duration if duration is None else duration
     finite_number(duration, f"{plan.scene.title}: duration", "above 0")
-    film = None
-    if recording is not None:
-        recording, film = film_path(plan.scene, recording), Recording()
-    begun = time.perf_counter()
-    station, parts = BuildHandStation(plan, None if film is None else film.Add)
-    simulator = Simulator(station)
-    root = simulator.get_mutable_context()
-    driver, physics = station.GetSubsystemByName("driver"), parts.plant.GetMyContextFromRoot(root)
-    torques, own = driver.GetOutputPort("torque"), driver.GetMyContextFromRoot(root)
-    joints = [joint.position_start() for joint in moving_joints(parts.plant)]
+    run = Run(plan.scene, plan.config, partial(BuildHandStation, plan), recording)
+    driver, plant = run.station.GetSubsystemByName("driver"), run.parts.plant
+    own, physics = (system.GetMyContextFromRoot(run.root) for system in (driver, plant))
+    joints = [joint.position_start() for joint in moving_joints(plant)]
     asked: Asked = {
-        "q": lambda: parts.plant.GetPositions(physics)[joints],
-        "torque": lambda: torques.Eval(own),
+        "q": lambda: plant.GetPositions(physics)[joints],
+        "torque": partial(driver.GetOutputPort("torque").Eval, own),
     }
-    log = Log(station, root, parts, asked, LOGGED)
-    ended = log.follow(simulator, duration, progress)
-    t, said = log.read()
-    result = HandResult(
-        plan.rolling,
-        plan.config,
-        t,
-        _planned(plan, t),
-        measurements(said, plan.config),
-        said["pose"],
-        log.begun - begun,
-        ended - log.begun,
-        plan,
-        np.array([plan.path.GetPose(x).GetAsMatrix4() for x in t]),
-        said["q"],
-        said["torque"],
+    t, said, measured = run.follow(duration, LOGGED, progress, asked)
+    seen = t, _planned(plan, t), measured, said["pose"], *run.times
+    wanted = np.array([plan.path.GetPose(x).GetAsMatrix4() for x in t])
+    return run.filmed(
+        HandResult(plan.rolling, plan.config, *seen, plan, wanted, said["q"], said["torque"])
     )
-    if film is not None and recording is not None:
-        film.Save(recording, result)
-    return result
 
 
 def _planned(plan: Reorientation, t: Array) -> dict[str, Array]:

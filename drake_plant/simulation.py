@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from contact_system.writing import writing
 from .balance import friction_used
 from .config import StationConfig, checked
 from .contact_gauge import COLUMNS
-from .planner_base import PORTS
 from .plant import ScenePlant
 from .recording import Recording
 from .reorientation import plan_reorientation
@@ -45,6 +44,9 @@ CONTINUOUS = SimulatorConfig(
     integration_scheme="runge_kutta3", accuracy=1e-4, max_step_size=1e-3, use_error_control=True
 )
 """Of a continuous plant: with a larger accuracy the planner is further off than it may be."""
+
+
+Result = TypeVar("Result", bound="SimulationResult")
 
 
 @dataclass(eq=False, repr=False)
@@ -172,40 +174,112 @@ def simulate(
 
         planned_hand = plan_reorientation(config.hand, scene, config=config)
         return simulate_hand(planned_hand, duration, progress, recording)
-    film = None
-    if recording is not None:
-        recording, film = film_path(scene, recording), Recording()
-    begun = time.perf_counter()
     # meshes have to reach as far as contacts go
     whole = scene if duration <= scene.duration else scene.replace(duration=duration)
-    station, parts = build(whole, config, None if film is None else film.Add, duration)
-    simulator = Simulator(station)
-    ApplySimulatorConfig(INTEGRATION if config.time_step else CONTINUOUS, simulator)
-    context = simulator.get_mutable_context()
-    SetInitialState(station, context)
-    planner = station.GetSubsystemByName("planner")
-    own = planner.GetMyContextFromRoot(context)
-    asked: Asked = {"planned": lambda: planner.Evaluate(own, *PLANNED)}
+    run = Run(scene, config, partial(build, whole, config, until=duration), recording)
+    SetInitialState(run.station, run.root)
+    planner = run.station.GetSubsystemByName("planner")
+    own = planner.GetMyContextFromRoot(run.root)
+    asked: Asked = {name: partial(planner.Evaluate, own, name) for name in PLANNED}
     for name in BALANCED if config.balances else ():
-        asked[name] = partial(station.GetOutputPort(f"planned_{name}").Eval, context)
-    log = Log(station, context, parts, asked, period)
-    ended = log.follow(simulator, duration, progress)
-    t, said = log.read()
-    measured = measurements(said, config)
-    planned = _planned(said, measured, config)
+        asked[name] = partial(run.station.GetOutputPort(f"planned_{name}").Eval, run.root)
+    t, said, measured = run.follow(duration, period, progress, asked)
+    planned = {name: said[name] for name in PLANNED}
+    planned["contact_point"] = planned["contact_point"][:, :, 3:]
+    for name, constant in zip(BALANCED, (config.normal_force, 0.0)):
+        planned[name] = said.get(name, np.full_like(measured["normal_force"], constant))
     if config.restarts:
         first = plan(planner.system.scene)
         planned["first_contact_point"] = first.points(t)[:, :, 1]
-    result = SimulationResult(
-        scene, config, t, planned, measured, said["pose"], log.begun - begun, ended - log.begun
+    return run.filmed(
+        SimulationResult(scene, config, t, planned, measured, said["pose"], *run.times)
     )
-    if film is not None and recording is not None:
-        film.Save(recording, result)
-    return result
+
+
+Asked = dict[str, Callable[[], Any]]
+
+
+class Run:
+    """A station, and what is seen of it while it is simulated.
+
+    Attributes
+    ----------
+    station, parts : what ``make`` made, with visualizers where a recording is wanted
+    root : Context
+    times : s, of making the station and of simulating it
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        config: StationConfig,
+        make: Callable[..., tuple[Diagram, ScenePlant]],
+        recording: str | Path | None,
+    ):
+        self._config, self._path, self._film = config, Path(), None
+        if recording is not None:  # hours later it has to be written
+            self._path, self._film = film_path(scene, recording), Recording()
+        self._begun = time.perf_counter()
+        self.station, self.parts = make(extend=None if self._film is None else self._film.Add)
+        self._simulator = Simulator(self.station)
+        ApplySimulatorConfig(INTEGRATION if config.time_step else CONTINUOUS, self._simulator)
+        self.root = self._simulator.get_mutable_context()
+
+    def follow(
+        self,
+        duration: float,
+        period: float,
+        progress: Callable[[float], None] | None,
+        asked: Asked,
+    ) -> tuple[Array, dict[str, Array], dict[str, Array]]:
+        """Simulate to the end; returns times, what was said then, also of the object's pose, and
+        what was measured.
+
+        Ends of steps are logged: about a period apart, and of every step in which a finger is off
+        the object.
+        """
+        step, plant, rows, following = self._config.time_step, self.parts.plant, [], 0
+        physics = plant.GetMyContextFromRoot(self.root)
+        monitor = self.station.GetSubsystemByName("monitor")
+        measured = partial(monitor.measured, monitor.GetMyContextFromRoot(self.root))
+        asked = asked | {
+            "t": self.root.get_time,
+            "pose": lambda: self.parts.object_body.EvalPoseInWorld(physics).GetAsMatrix4(),
+            "measured": measured,
+        }
+
+        def note(root: Context) -> EventStatus:
+            nonlocal following
+            t = root.get_time()
+            if progress is not None:
+                progress(t)
+            steps = t / step if step else 0.0
+            # others are the planner's, within one of the plant
+            if t >= duration or abs(steps - round(steps)) <= NEAR:
+                periods = math.floor(t / period + NEAR)
+                due = t >= duration or periods >= following
+                if due or not (measured()[:, COLUMNS["normal_force"]] > 0).all():
+                    following = periods + 1
+                    rows.append([np.array(ask()) for ask in asked.values()])
+            return EventStatus.DidNothing()
+
+        self._simulator.set_monitor(note)
+        self._simulator.Initialize()
+        made = time.perf_counter()
+        self._simulator.AdvanceTo(duration)
+        self.times = made - self._begun, time.perf_counter() - made
+        said = {name: np.array(values) for name, values in zip(asked, zip(*rows))}
+        return said["t"], said, _measurements(said["measured"], self._config)
+
+    def filmed(self, result: Result) -> Result:
+        """The result, once the recording is written that shows it."""
+        if self._film is not None:
+            self._film.Save(self._path, result)
+        return result
 
 
 def film_path(scene: Scene, recording: str | Path) -> Path:
-    """Where a film can be written; a simulation may take hours before it is."""
+    """Where a film can be written."""
     path = a_path(recording, f"{scene.title}: recording")
     if not path.parent.is_dir() or path.is_dir() or path.suffix != ".html":
         raise SceneError(
@@ -215,79 +289,9 @@ def film_path(scene: Scene, recording: str | Path) -> Path:
     return path
 
 
-Asked = dict[str, Callable[[], Array]]
-
-
-class Log:
-    """Where the object is, what the monitor measures and what else is asked for, at ends of steps:
-    about a period apart, and of every step in which a finger is off the object."""
-
-    def __init__(
-        self, station: Diagram, root: Context, parts: ScenePlant, asked: Asked, period: float
-    ):
-        plant, physics = parts.plant, parts.plant.GetMyContextFromRoot(root)
-        monitor = station.GetSubsystemByName("monitor")
-        self._measured = partial(monitor.measured, monitor.GetMyContextFromRoot(root))
-        self._asked = asked | {"measured": self._measured}
-        self._asked["pose"] = lambda: parts.object_body.EvalPoseInWorld(physics).GetAsMatrix4()
-        self._step, self._period, self._next = plant.time_step(), period, 0
-        self._t: list[float] = []
-        self._rows: list[list[Array]] = []
-        self.begun = math.nan
-
-    def follow(
-        self, simulator: Simulator, duration: float, progress: Callable[[float], None] | None
-    ) -> float:
-        """Simulate to the end; returns when that is reached, of `time.perf_counter`."""
-
-        def note(root: Context) -> EventStatus:
-            self._note(root)
-            if progress is not None:
-                progress(root.get_time())
-            return EventStatus.DidNothing()
-
-        simulator.set_monitor(note)
-        simulator.Initialize()
-        self.begun = time.perf_counter()
-        simulator.AdvanceTo(duration)
-        ended = time.perf_counter()
-        self._note(simulator.get_context(), last=True)
-        return ended
-
-    def _note(self, root: Context, last: bool = False) -> None:
-        t = root.get_time()
-        steps = t / self._step if self._step else 0.0
-        if abs(steps - round(steps)) > NEAR and not last:  # the planner's, within one of the plant
-            return
-        periods = math.floor(t / self._period + NEAR)
-        due = periods >= self._next or (last and t > self._t[-1])
-        if not due and (self._measured()[:, COLUMNS["normal_force"]] > 0).all():
-            return
-        self._next = periods + 1
-        self._t.append(t)
-        self._rows.append([ask().copy() for ask in self._asked.values()])
-
-    def read(self) -> tuple[Array, dict[str, Array]]:
-        """Times, and what was said then."""
-        said = {name: np.array(values) for name, values in zip(self._asked, zip(*self._rows))}
-        return np.array(self._t), said
-
-
-def _planned(
-    said: Mapping[str, Array], measured: Mapping[str, Array], config: StationConfig
-) -> dict[str, Array]:
-    """As a SimulationResult has it."""
-    ends = np.cumsum([PORTS[name] for name in PLANNED])[:-1]
-    planned = dict(zip(PLANNED, np.split(said["planned"], ends, axis=2)))
-    planned["contact_point"] = planned["contact_point"][:, :, 3:]
-    for name, constant in zip(BALANCED, (config.normal_force, 0.0)):
-        planned[name] = said.get(name, np.full_like(measured["normal_force"], constant))
-    return planned
-
-
-def measurements(said: Mapping[str, Array], config: StationConfig) -> dict[str, Array]:
+def _measurements(said: Array, config: StationConfig) -> dict[str, Array]:
     """As a SimulationResult has them."""
-    measured = {name: said["measured"][:, :, columns] for name, columns in COLUMNS.items()}
+    measured = {name: said[:, :, columns] for name, columns in COLUMNS.items()}
     normal = measured["normal_force"] = measured["normal_force"][:, :, 0]
     forces = np.dstack([measured["tangential_force"], normal])
     measured["friction_used"] = friction_used(forces, [0.0, 0.0, 1.0], config.friction)
