@@ -30,24 +30,6 @@ LOOKS = 20
 takes 30 us."""
 
 
-class StepWatch:
-    """When to look at a simulation."""
-
-    def __init__(self, duration: float):
-        self._duration = duration
-        self.begin(0.0)
-
-    def begin(self, t: float) -> None:
-        self._start = self._next = t
-
-    def due(self, t: float) -> bool:
-        """Whether to compare the end of this step with the plan."""
-        if t < self._next:
-            return False
-        self._next = t + min(t - self._start, self._duration / LOOKS)
-        return True
-
-
 def exact_plan(scene: Scene, start: float, states: bytes, end: float) -> Plan | None:
     """The plan from states at a start, or that of the scene where there are none, to an end.
 

@@ -95,10 +95,16 @@ class PlannerBase(_System):
     def Evaluate(self, context: Any, *outputs: str) -> Array:
         """What the ports of these names say now, a row a contact; of "pose" its numbers."""
         n = len(self.system.scene.contacts)
-        return np.hstack([self._Numbers(context, name).reshape(n, -1) for name in outputs])
+        return np.concatenate(
+            [part.reshape(n, -1) for part in self._Parts(context, *outputs)], axis=1
+        )
 
     def _Numbers(self, context: Any, output: str) -> Array:
-        """An output of the system, contact after contact."""
+        (part,) = self._Parts(context, output)
+        return part
+
+    def _Parts(self, context: Any, *outputs: str) -> list[Array]:
+        """Outputs of the system, each contact after contact."""
         raise NotImplementedError
 
     def _CalcVector(self, outputs: tuple[str, ...], context: Any, vector: Any) -> None:

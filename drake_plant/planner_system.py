@@ -29,13 +29,14 @@ from .config import LOOK
 from .lifetimes import NO_DICTIONARY, weakly
 from .plan_check import (
     CLEARANCE,
+    LOOKS,
     TOLERANCE,
     exact_plan,
     refuse,
     refuse_drift,
     refuse_singularity,
 )
-from .planner_base import MOTION, PORTS, PlannerBase, scene_system
+from .planner_base import PlannerBase, scene_system
 from .scalars import evaluate_scalars
 from .scratch import PerThread, Scratch
 
@@ -213,11 +214,10 @@ class ContactPlanner(_Convertible, LeafSystem):
         self._DeclareWatch()
 
     def Evaluate(self, context: Any, *outputs: str) -> Array:
-        values = self._Numbers(context, *outputs)
-        # the product is quick to say that all is well
-        if not math.isfinite(values.dot(values)) and not np.isfinite(values).all():
+        found = super().Evaluate(context, *outputs)
+        if not np.isfinite(found).all():
             refuse(self.system, *self._scratches.own.given)
-        return values[_rows(len(self.system.scene.contacts), outputs)]
+        return found
 
     # --- what is refused at the end of a step -----------------------------------------------------
 
@@ -227,6 +227,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         The last derivatives of a step tell whether its end is near a singular point.
         """
         clears, scratches = "x" in self.system.depends("clearance"), self._scratches
+        longest = self.system.scene.duration / LOOKS
         check_clearance, check_drift = weakly(self._CheckClearance), weakly(self._CheckDrift)
         # Numbers, 0 until they are set: Drake copies Contexts without Python's lock when it
         # evaluates batches, and a Python object in one would end the process.
@@ -240,7 +241,8 @@ class ContactPlanner(_Convertible, LeafSystem):
             own = scratches.own
             if clears and not own.clearance[0] > NEARBY:
                 check_clearance(context)
-            if own.steps.due(context.get_time()):
+            if (t := context.get_time()) >= own.look:
+                own.look = t + min(t - own.began, longest)
                 check_drift(context)
 
         self.DeclarePerStepPublishEvent(watch)
@@ -260,7 +262,7 @@ class ContactPlanner(_Convertible, LeafSystem):
                 f"{now.max():g} m/s, with the state of t = 0 s, where it is {first.max():g}: set "
                 'that of its start by SceneSystem.from_states, or give coordinates="frame"'
             )
-        own.steps.begin(t)
+        own.began = own.look = t
         starts = (t, *own.x, *own.held) == (0.0, *system.x0, *system.held0)
         self._Follow(context, None if starts else self._Numbers(context, "state"))
 
@@ -314,7 +316,7 @@ class ContactPlanner(_Convertible, LeafSystem):
             k = bisect.bisect_left(edges, t)
             own.same = (t, t) if t in edges else (edges[k - 1], edges[k])
 
-    def _Numbers(self, context: Any, *outputs: str) -> Array:
+    def _Parts(self, context: Any, *outputs: str) -> list[Array]:
         return self._Load(context, outputs).evaluate(*outputs)
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
@@ -347,7 +349,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         for i in np.flatnonzero(chosen):
             states, kept = system.state_slices[i], system.held_slices[i]
             own.x[states], own.held[kept] = x[states], held[kept]
-        follow = own.evaluate("state").reshape(-1, 9)
+        follow = own.evaluate("state")[0].reshape(-1, 9)
         if plan is not None:
             follow[~chosen] = plan.states(context.get_time())[0][~chosen]
         self._Follow(context, follow.ravel())
@@ -356,14 +358,6 @@ class ContactPlanner(_Convertible, LeafSystem):
         restarts.SetFromVector(restarts.value() + chosen)
         if self._held is not None:
             state.get_mutable_discrete_state(self._held).SetFromVector(own.held)
-
-
-@functools.cache
-def _rows(n: int, outputs: tuple[str, ...]) -> Array:
-    """Where numbers of n contacts stand that a table gives output by output, a row a contact."""
-    ends = n * np.cumsum([(MOTION | PORTS)[output] for output in outputs])
-    parts = np.split(np.arange(ends[-1]), ends[:-1])
-    return np.hstack([part.reshape(n, -1) for part in parts])
 
 
 # --- other scalars --------------------------------------------------------------------------------
@@ -386,16 +380,16 @@ def _scalar_planner(T: type) -> type:
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             derivatives.SetFromVector(self._Numbers(context, "derivatives"))
 
-        def _Numbers(self, context: Any, output: str) -> Array:
+        def _Parts(self, context: Any, *outputs: str) -> list[Array]:
             system, w, held = self.system, self._Windows(context), self.system.held0
-            added = self._Disturbance(context, output)
+            added = self._Disturbance(context, *outputs)
             if added is not None:
                 w = np.array([a + b for a, b in zip(w, added)])  # numpy warns of branches
             if self._held is not None:
                 held = context.get_discrete_state(self._held).CopyToVector().ravel()
             x = context.get_continuous_state_vector().CopyToVector().ravel()
             arguments = [[context.get_time()], x, w, held, system.parameters]
-            return evaluate_scalars(system.function(output), arguments, T)
+            return [evaluate_scalars(system.function(name), arguments, T) for name in outputs]
 
     ScalarPlanner.__name__ = ScalarPlanner.__qualname__ = f"ContactPlanner_[{T.__name__}]"
     return ScalarPlanner

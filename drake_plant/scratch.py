@@ -15,8 +15,6 @@ from contact_system.system import SystemMachine
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 
-from .plan_check import StepWatch
-
 Array = np.ndarray
 
 
@@ -27,6 +25,7 @@ class Scratch:
     ----------
     t, x, w, held : arguments of `SceneSystem.function`, the first of `given`
     same : between these times w stays as it is
+    began, look : when the simulation did, and when it is compared with the plan next
     written : t and x, as they are written fastest
     rates : run, guard and derivatives of the machine of the derivatives
     """
@@ -41,20 +40,20 @@ class Scratch:
         self.t, self.x, self.w, self.held = self.given
         self._given = machine.point
         self.x[:], self.held[:] = system.x0, system.held0
-        self.steps = StepWatch(system.scene.duration)
+        self.began = self.look = 0.0
         rates, guard, clearance = machine.parts
         self.written = self.t.data, self.x.data
         self.rates = machine.run, guard.data, rates
         self.clearance = clearance.data
 
-    def evaluate(self, *outputs: str) -> Array:
-        """Outputs of what is loaded, one after the other; the next call overwrites the array."""
+    def evaluate(self, *outputs: str) -> list[Array]:
+        """Outputs of what is loaded; the next call overwrites them."""
         if outputs not in self._machines:
             self._machines[outputs] = SystemMachine(self._system, *outputs)
         machine = self._machines[outputs]
         machine.point[:] = self._given
         machine.run()
-        return machine.results
+        return machine.parts
 
 
 class FingerTables:
