@@ -67,7 +67,11 @@ NOTHING = np.zeros(3).data
 SEEN = {"X_WO": 12, "V_WO": 6, "X_WF": 12, "V_WF": 6, "point": 3, "force": 3, "torque": 3}
 """What is seen of a contact: bodies, the point C where it acts, the force on the finger, and its
 torque about C, in the world."""
-PRESSED = {"row": 46}
+PRESSED = {"at": 3, "E2": 9, "K2": 4, "K1": 4, "gap": 1, "velocity": 3}
+PRESSED |= {"point": 3, "force": 3, "torque": 3, "X_OF": 12, "bends": 1}
+"""What is known of a contact that presses: what a probe finds from the object's point on; the point
+C, force and torque about it in O where the step began; the finger's pose now; how much of the
+contact bends with the finger."""
 
 
 class ContactGauges:
@@ -91,7 +95,7 @@ class ContactGauges:
         rows: Any = zip(
             (probe.seen for probe in self._probes),
             (probe.found for probe in self._probes),
-            *(self._motions.results, self._forces.x["row"], self._forces.results, self._result),
+            *(self._motions.results, self._forces.points, self._forces.results, self._result),
         )
         self._numbers = [[numbers.data for numbers in row] for row in rows]
 
@@ -183,22 +187,21 @@ def _moved(R: ca.SX, p: ca.SX, w: ca.SX, v: ca.SX, later: ca.SX) -> tuple[ca.SX,
 
 @per_structure
 def _forces() -> Table:
-    """x_2, E2, K_2, K_1 (20), gap, velocity of the contact point, C, force, torque, X_OF of now
-    (12), how much of the contact bends with the finger; a step -> normal force and tangential force
-    in E2 (3), and where the contact point goes in that step, in O and in F.
+    """`PRESSED`; a step -> normal force and tangential force in E2 (3), and where the contact point
+    goes in that step, in O and in F.
 
     The normal is that at the centre of pressure, to first order.
     """
-    row, step = ca.SX.sym("row", 46), ca.SX.sym("step")
-    E2, K2, K1 = (ca.reshape(row[a:b], n, n) for a, b, n in ((3, 12, 3), (12, 16, 2), (16, 20, 2)))
-    arm, force, torque = (E2.T @ v for v in (row[24:27] - row[:3], row[27:30], row[30:33]))
-    curvature = K2 - row[45] * (K2 + K1)
+    (row, x), step = named(PRESSED), ca.SX.sym("step")
+    E2, K2, K1 = ca.reshape(x.E2, 3, 3), ca.reshape(x.K2, 2, 2), ca.reshape(x.K1, 2, 2)
+    arm, force, torque = (E2.T @ v for v in (x.point - x.at, x.force, x.torque))
+    curvature = K2 - x.bends * (K2 + K1)
     # a force along n at r from where the torque is taken has the torque r x n
     pressing = ca.fmax(force[2], TINY)
     offset = ca.if_else(force[2] > 0, ca.vertcat(-torque[1], torque[0]) / pressing, 0)
     tilt = curvature @ (arm[:2] + offset)
     normal = force[2] + ca.dot(tilt, force[:2])
-    X_OF, ahead = ca.reshape(row[33:45], 4, 3).T, row[:3] + step * row[21:24]
-    in_finger = X_OF[:, :3].T @ (ahead - X_OF[:, 3])
+    ahead = x.at + step * x.velocity
+    in_finger = x.R_OF.T @ (ahead - x.p_OF)
     found = ca.vertcat(normal, force[:2] - normal * tilt, ahead, in_finger)
     return Table(ca.Function("forces", [row, step], [ca.densify(found)]))

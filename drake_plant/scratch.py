@@ -59,16 +59,18 @@ class Scratch:
 class FingerTables:
     """A table run for several fingers, one after the other, for one thread.
 
-    x : what it takes by name, a row a finger, poses (n, 3, 4)
+    points : what it takes, a row a finger; x : the same by name, poses (n, 3, 4)
     results : (n, n_out)
     """
 
     def __init__(self, table: Table, sizes: dict[str, int], constants: Sequence[list[float]]):
         registers = np.zeros((len(constants), table.n_regs))
         self._machines = [Machine(table, *each) for each in zip(constants, registers)]
-        points = registers[:, : table.n_in]
+        self.points = registers[:, : table.n_in]
         self.x: dict[str, Array] = {}
-        for name, part in zip(sizes, np.split(points, np.cumsum([*sizes.values()])[:-1], axis=1)):
+        for name, part in zip(
+            sizes, np.split(self.points, np.cumsum([*sizes.values()])[:-1], axis=1)
+        ):
             self.x[name] = part.reshape(-1, 3, 4) if name[0] == "X" else part
         self.results = registers[:, table.first_out :][:, : table.n_out]
 
