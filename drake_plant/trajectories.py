@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 FIRST, MOST = 64, 2**17
 """Pieces of a trajectory at first, and the most before a tolerance is refused."""
+ROWS = ((0, 6), (6, 3), (9, 3), (12, 3))
+"""Of twist, position and contact points on finger and object, where they begin, and how many."""
 
 
 @dataclass(frozen=True)
@@ -85,18 +87,16 @@ def MakeTrajectories(plan: Plan, contact: int = 0, tolerance: float = 1e-5) -> C
                     "one, or ask a PlanSource"
                 )
         parts.append(part)
-    twist, position, *points = (
-        _joined([part.cubic(rows) for part in parts]) for rows in (TWIST, POSITION, FINGER, OBJECT)
-    )
+    whole, *others = (part.cubic() for part in parts)
+    for other in others:
+        whole.ConcatenateInTime(other)
+    twist, position, *points = (whole.Block(k, 0, n, 1) for k, n in ROWS)
     # neighbouring parts share a break
     breaks = np.concatenate([parts[0].t[:1], *(part.t[1:] for part in parts)])
     turns = np.concatenate([parts[0].turn[:1], *(part.turn[1:] for part in parts)])
     slerp = PiecewiseQuaternionSlerp(breaks.tolist(), [RotationMatrix(R) for R in turns])
     pose = PiecewisePose(position, slerp)
     return ContactTrajectories(plan, contact, tolerance, pose, twist, *points)
-
-
-TWIST, POSITION, FINGER, OBJECT = (slice(k, k + n) for k, n in ((0, 6), (6, 3), (9, 3), (12, 3)))
 
 
 class _Part:
@@ -119,7 +119,7 @@ class _Part:
 
     def error(self) -> float:
         """The greatest, half-way between breaks, in tolerances of 1."""
-        turning = np.linalg.norm(self.values[:, TWIST][:, :3], axis=1).max()
+        turning = np.linalg.norm(self.values[:, :3], axis=1).max()
         if turning * (self.t[1] - self.t[0]) > 1.0:  # rad; whole turns in a piece look like none
             return np.inf
         off = np.abs(self._spline(self._half) - self._there)
@@ -131,13 +131,5 @@ class _Part:
         turned = (half.inv() * Rotation.from_matrix(self._turned)).magnitude()
         return max(float((off / scale).max()), float(turned.max()))
 
-    def cubic(self, rows: slice) -> PiecewisePolynomial:
-        slopes = self._spline(self.t, 1)
-        return PiecewisePolynomial.CubicHermite(self.t, self.values[:, rows].T, slopes[:, rows].T)
-
-
-def _joined(parts: list[PiecewisePolynomial]) -> PiecewisePolynomial:
-    first, *others = parts
-    for other in others:
-        first.ConcatenateInTime(other)
-    return first
+    def cubic(self) -> PiecewisePolynomial:
+        return PiecewisePolynomial.CubicHermite(self.t, self.values.T, self._spline(self.t, 1).T)
