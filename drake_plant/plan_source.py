@@ -66,16 +66,15 @@ class PlanSource(PlannerBase, LeafSystem):
     def _Prerequisites(self, *outputs: str) -> set:
         return {self.time_ticket()}
 
-    def Evaluate(self, context: Any, *outputs: str) -> Array:
-        t, n = context.get_time(), len(self.plan.scene.contacts)
-        names = [name for name in outputs if name in PLANNED]
+    def _Parts(self, context: Any, *outputs: str) -> list[Array]:
+        t, names = context.get_time(), [name for name in outputs if name in PLANNED]
         said = self.plan.evaluate(t, *(PLANNED[name] for name in names)) if names else {}
         found = {name: said[PLANNED[name]] for name in names}
         if "pose" in found:  # by columns
             found["pose"] = found["pose"][0, :, :3].swapaxes(1, 2)
         if len(names) < len(outputs):
             found |= self._Rates(t)
-        return np.hstack([found[name].reshape(n, -1) for name in outputs])
+        return [found[name] for name in outputs]
 
     def _Rates(self, t: float) -> dict[str, Array]:
         system = self.system
