@@ -9,8 +9,9 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from ctypes import c_void_p
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,7 @@ def _note(*said: Any) -> None:
         printLogMessage(*said)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
 class Moment:
     """What the Context holds of an FMU: when it is, its outputs, and how to go back there.
 
@@ -69,13 +71,11 @@ class Moment:
     with the last of them.
     """
 
-    __slots__ = ("_instance", "time", "stepped", "values", "key")
-
-    def __init__(
-        self, instance: Instance, time: float, stepped: bool, values: list[Array], key: int | None
-    ):
-        self._instance, self.time, self.stepped = instance, time, stepped
-        self.values, self.key = values, key
+    _instance: Instance
+    time: float
+    stepped: bool
+    values: list[Array]
+    key: int | None
 
     def __deepcopy__(self, memo: Any) -> Moment:
         return self
@@ -179,9 +179,11 @@ class Instance:
             fmu = self._fmu
             if self.version == 2:
                 fmu.setupExperiment(startTime=time)
-            left = self._set(self._start_values, settable_in_instantiated)
+            given_first = dict(self._start_values)
+            left = apply_start_values(fmu, self.description, given_first, settable_in_instantiated)
             fmu.enterInitializationMode(**{} if self.version == 2 else {"startTime": time})
-            if left := self._set(left, settable_in_initialization_mode):
+            later = settable_in_initialization_mode
+            if left := apply_start_values(fmu, self.description, dict(left), later):
                 raise ContactSystemError(
                     f"{self.name}: {', '.join(left)} cannot be set at the start; only inputs, "
                     "parameters and variables with initial='exact' or 'approx' can"
@@ -191,12 +193,6 @@ class Instance:
             fmu.exitInitializationMode()
             self._running = True
             return self._here(time, stepped=False)
-
-    def _set(
-        self, start_values: Mapping[str, Any], settable: Callable[[Any], bool]
-    ) -> Mapping[str, Any]:
-        """Set what can be set now; returns the rest."""
-        return apply_start_values(self._fmu, self.description, dict(start_values), settable)
 
     def step(self, moment: Moment, given: Given, step: float) -> tuple[Moment, bool]:
         """From a moment to the next, with the inputs during it; also whether the FMU wants to end
