@@ -12,8 +12,7 @@ from scipy.spatial import cKDTree
 from contact_system.errors import SurfaceError
 from contact_system.surfaces import ImplicitSurface, Surface, Torus
 
-from .domains import Array, Domain, Triangles
-from .meshes import SurfaceMesh, edges_of, outward, refined
+from .meshes import Array, Domain, SurfaceMesh, Triangles, edges_of, outward, refined
 
 FINER = 2  # halvings of the triangles that are painted in one of two shades
 SHADE = 0.65  # brightness of the darker one

@@ -3,7 +3,7 @@ r"""A scene as a MultibodyPlant: the object, and one free fingertip a contact.
 A fingertip is compliant, the object rigid. Where they overlap by a depth d, the object's surface
 lies ``d - (K_1 + R K_2 R)(x, x)/2`` under the finger's to second order, K the curvature forms, and
 Drake's pressure there is E times that over the distance l from the finger's surface to the inner
-point below it (`meshes.compliant_mesh`). Over the patch, an ellipse of area
+point below it (`compliant_mesh`). Over the patch, an ellipse of area
 ``2 pi d/sqrt(det(K_1 + R K_2 R))``, this adds up to
 
 .. math:: F = \frac{E}{l} \frac{\pi d^2}{\sqrt{\det(K_1 + R K_2 R)}}, \qquad
@@ -77,10 +77,9 @@ from contact_system.errors import ContactSystemError
 from contact_system.plots.style import BODY, colour_of
 
 from .config import EDGES, StationConfig, checked, require_config
-from .domains import Domain, domain_of
 from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
 from .hand_kinematics import add_hand
-from .meshes import SurfaceMesh, contact_mesh
+from .meshes import Domain, SurfaceMesh, contact_mesh, domain_of
 from .pressing import check_depth, contact_depth
 from .touches import Touch, touches_of
 

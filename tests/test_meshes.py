@@ -18,9 +18,8 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 
 import contact_system as cs
-from drake_plant.domains import domain_of
 from drake_plant.drake_meshes import compliant_mesh, inner_points
-from drake_plant.meshes import contact_mesh
+from drake_plant.meshes import contact_mesh, domain_of
 
 AROUND = np.linspace(0, 2 * math.pi, 90)
 CIRCLE = np.stack([np.cos(AROUND), np.sin(AROUND), 0 * AROUND], axis=1)
