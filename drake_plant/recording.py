@@ -1,32 +1,64 @@
-"""A simulation as one HTML file that anybody can turn, zoom and play in a browser."""
+"""A simulation as one HTML file that anybody can turn, zoom and play in a browser.
+
+Besides bodies and forces it shows curves, disturbances and names. These are drawn into Meshcat's
+recording when the simulation is over, from what it logged; all moves with the bodies, as it hangs
+on their branches of Meshcat's tree.
+"""
 
 from __future__ import annotations
 
+import html
+import json
 import logging
+import math
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
 from pydrake.geometry import (
     Meshcat,
     MeshcatVisualizer,
     MeshcatVisualizerParams,
     Role,
+    Sphere,
 )
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.meshcat import ContactVisualizer, ContactVisualizerParams
 from pydrake.systems.framework import DiagramBuilder
+from scipy.spatial.transform import Rotation
 
-from contact_system import SceneError
+from contact_system import Scene, SceneError, plan
 from contact_system.checks import a_path, finite_number
-from contact_system.plots.style import INK
+from contact_system.measures import windows
+from contact_system.plots.style import DISTURBED, INK, colour_of
 from contact_system.writing import writing
 
 from .drake_meshes import rgba
-from .film import BODIES, FORCES, draw, look_at, with_texts
-from .plant import ScenePlant
+from .plant import ScenePlant, model_names
 
 if TYPE_CHECKING:
     from .simulation import SimulationResult
 
+Array = NDArray[np.float64]
+Acting = tuple[int | None, float, float]
+
+FILM = "/drake/film"
+BODIES, FORCES = f"{FILM}/bodies", f"{FILM}/forces"
+LIFT = 0.02  # of the finger's size, of lines over surfaces whose facets would hide them
+THICK, THIN = 0.1, 0.025  # half of the width of ribbons, of the finger's size
+DOT = 0.2  # radius of contact points, of the finger's size
+HALO = 1.3  # radius of what marks a disturbed body, in its sizes
+VIEW = np.array([math.sqrt(0.75), 0.0, 0.5])
+"""From what is seen to the camera, whose right is y."""
+ASIDE = np.array([0.4, 0.7, 0.6]) / math.hypot(0.4, 0.7, 0.6)
+"""Where the finger that is followed is held: beside the line of sight, so that contact is seen."""
+HAND_VIEW = [0.19, 0.11, 0.05]
+"""Where the camera is that sees a hand, m."""
+SEES = math.radians(75.0)  # the angle of Meshcat's camera
+AROUND = 2.2  # what is seen beyond the object or the contacts, in sizes of the largest finger
+TURN = 0.4  # most of a turn a frame, rad: going over to another finger is seen, not a cut
 ARROW = 2.5  # length of the arrow of the normal force, in sizes of the largest finger
 
 
@@ -111,8 +143,182 @@ class Recording:
         if result is not None:
             draw(self._meshcat, result)
         self._visualizer.PublishRecording()
-        html = self._meshcat.StaticHtml()
+        page = self._meshcat.StaticHtml()
         if result is not None:
-            html = with_texts(html, result)
+            page = with_texts(page, result)
         with writing(a_path(path)) as file:
-            file.write(html.encode())
+            file.write(page.encode())
+
+
+def look_at(meshcat: Meshcat, scene: Scene, points: Array | None = None) -> Array:
+    """Set the camera back so far that it sees the bodies; returns the middle of what it sees, in O.
+
+    points : (..., 3), contact points, which tell what is to be seen of an object that has no centre
+    """
+    middle, size = np.zeros(3), scene.object.size
+    if points is not None and not scene.object.chart.central:
+        middle = 0.5 * (np.nanmin(points, axis=(0, 1)) + np.nanmax(points, axis=(0, 1)))
+        size = float(np.nanmax(np.linalg.norm(points - middle, axis=-1)))
+    reach = size + AROUND * max(contact.finger.size for contact in scene.contacts)
+    meshcat.SetCameraPose(reach / math.sin(SEES / 2) * VIEW, np.zeros(3))
+    return middle
+
+
+def disturbances(result: SimulationResult) -> list[Acting]:
+    """What disturbs: a contact, or None for the object, and from when to when, s."""
+    scene, planned = result.scene, plan(result.scene)
+    names = [scene.contact_name(i) for i in range(len(scene.contacts))]
+    found: list[Any] = [(i, *w) for i in range(len(names)) for w in windows(planned, i)]
+    for push in result.config.pushes:
+        on = None if push.on == "object" else names.index(push.on)
+        found.append((on, push.start, push.stop))
+    return found
+
+
+def draw(meshcat: Meshcat, result: SimulationResult) -> None:
+    """Add all that moves with a simulation to the recording that Meshcat has of it."""
+    recording, scene = meshcat.get_mutable_recording(), result.scene
+    times = np.arange(0.0, result.t[-1], 1.0 / recording.frames_per_second())
+    frames = np.searchsorted(result.t, times)  # what is logged, a row a frame
+    for path, curve, drawn, colour in _curves(result):
+        meshcat.SetTriangleMesh(
+            path, *curve, rgba(colour), side=Meshcat.SideOfFaceToRender.kDoubleSide
+        )
+        if drawn is not None:
+            for frame, segments in enumerate(np.searchsorted(drawn, times).tolist()):
+                recording.SetProperty(frame, f"{path}/<object>", "drawn", float(segments))
+    for i, contact in enumerate(scene.contacts):
+        path = f"{_branch(scene, None)}/point {i}"
+        meshcat.SetObject(path, Sphere(DOT * contact.finger.size), rgba("#ffffff"))
+        for frame, point in enumerate(result.measured["contact_point"][frames, i]):
+            recording.SetTransform(frame, path, RigidTransform(point))
+    acting = disturbances(result)
+    for on in {on for on, _, _ in acting}:
+        body = scene.object if on is None else scene.contacts[on].finger
+        path = f"{_branch(scene, on)}/disturbed"
+        meshcat.SetObject(path, Sphere(HALO * body.size), rgba(DISTURBED, 0.35))
+        meshcat.SetProperty(f"{path}/<object>", "material.depthWrite", False)
+        recording.SetProperty(0, path, "visible", False)
+        for _, start, stop in sorted(event for event in acting if event[0] == on):
+            recording.SetProperty(recording.frame(start), path, "visible", True)
+            recording.SetProperty(recording.frame(stop), path, "visible", False)
+    if result.config.hand is not None:  # up is up
+        meshcat.SetCameraPose(HAND_VIEW, [0.0, 0.0, -0.6 * scene.object.size])
+        return
+    middle = look_at(meshcat, scene, result.measured["contact_point"])
+    for frame, X in enumerate(_views(result, acting, middle, times, frames)):
+        recording.SetTransform(frame, FILM, X)
+
+
+def _branch(scene: Scene, on: int | None) -> str:
+    """Of Meshcat's tree, of the object or of a finger."""
+    name = "object" if on is None else model_names(scene)[on]
+    return f"{BODIES}/{name}/{name}"
+
+
+def _curves(
+    result: SimulationResult,
+) -> Iterator[tuple[str, tuple[Array, Array], Array | None, str]]:
+    """Path, ribbon, the times at which it is drawn, and colour of each curve."""
+    scene, state = result.scene, result.measured["state"]
+    for i, contact in enumerate(scene.contacts):
+        u1, v1, u2, v2 = state[:, i, [0, 1, 4, 5]].T
+        out, size, colour = scene.object.normal(u2, v2), contact.finger.size, colour_of(i)
+        own, finger = _branch(scene, None), _branch(scene, i)
+        planned, measured = (w["contact_point"][:, i] for w in (result.planned, result.measured))
+        on_finger = contact.finger.point(u1, v1), contact.finger.normal(u1, v1)
+        for path, points, normals, width, shade in (
+            (f"{own}/planned {i}", planned + 0.5 * LIFT * size * out, out, THIN, INK),
+            (f"{own}/curve {i}", measured, out, THICK, colour),
+            (f"{finger}/curve", *on_finger, THICK, colour),
+        ):
+            known = np.isfinite(points + normals).all(axis=1)
+            at, up = points[known], normals[known]
+            curve = _ribbon(at + LIFT * size * up, up, width * size)
+            yield path, curve, None if shade == INK else result.t[known], shade
+
+
+def _ribbon(points: Array, normals: Array, width: float) -> tuple[Array, Array]:
+    """Vertices (3, 2m) and triangles (3, 2m - 2) of a band along points (m, 3) on a surface."""
+    side = np.cross(normals, np.gradient(points, axis=0))
+    side *= width / np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-12)
+    vertices = np.stack([points + side, points - side], axis=1).reshape(-1, 3)
+    first = 2 * np.arange(len(points) - 1)[:, None]
+    faces = np.hstack([first + [0, 1, 2], first + [1, 3, 2]]).reshape(-1, 3)
+    return np.asfortranarray(vertices.T), np.asfortranarray(faces.T.astype(np.int32))
+
+
+def _views(
+    result: SimulationResult,
+    acting: list[Acting],
+    middle: Array,
+    times: Array,
+    frames: NDArray[np.int64],
+) -> Iterator[RigidTransform]:
+    """Where the film is put at each frame, so that the camera may stand still."""
+    at = result.measured["state"][frames]
+    normals = result.scene.object.normal(at[..., 4], at[..., 5])
+    fingers = [event for event in acting if event[0] is not None] or [(0, 0.0, 0.0)]
+    turn, most = Rotation.identity(), math.pi
+    for t, X_WO, normal in zip(times, result.object_pose[frames], normals):
+        # the finger that is disturbed now, last or next
+        i, *_ = min(fingers, key=lambda event: max(event[1] - t, t - event[2], 0.0))
+        now = turn.apply(X_WO[:3, :3] @ normal[i])
+        if np.isfinite(now).all():
+            axis = np.cross(now, ASIDE)
+            sine = float(np.linalg.norm(axis))
+            angle = min(math.atan2(sine, now @ ASIDE), most)
+            turn, most = Rotation.from_rotvec(axis * angle / max(sine, 1e-12)) * turn, TURN
+        place = X_WO[:3, 3] + X_WO[:3, :3] @ middle
+        yield RigidTransform(RotationMatrix(turn.as_matrix()), -turn.apply(place))
+
+
+# --- in the page, whose viewer can do more than Drake's Meshcat --------------------------------
+
+DRAWN = """
+<script>
+  Object.defineProperty(MeshCat.THREE.Object3D.prototype, "drawn", {
+    get() { return 0; },
+    set(segments) { this.geometry.setDrawRange(0, 6 * Math.floor(segments)); },
+  });
+</script>
+"""
+"""How much of a ribbon is drawn, as a property that an animation can change."""
+KEY = """
+<div style="position: fixed; left: 16px; top: 12px; font: 15px sans-serif; color: {ink}">
+<b>{title}</b><br>{entries}
+</div>
+<script>
+for (const [path, text, size] of {names})
+  viewer.set_object_from_json(path.split("/").filter(word => word), {{
+    metadata: {{version: 4.5, type: "Object"}}, geometries: [],
+    textures: [{{uuid: "t", type: "_text", text, font_size: 64, font_face: "sans-serif"}}],
+    materials: [
+      {{uuid: "m", type: "SpriteMaterial", map: "t", transparent: true, depthTest: false}}],
+    object: {{uuid: "o", type: "Sprite", material: "m", renderOrder: 1,
+              matrix: [size, 0, 0, 0, 0, size, 0, 0, 0, 0, size, 0, 0, 0, 0, 1]}},
+  }});
+</script>
+"""
+"""What colours mean, and names: Drake's Meshcat has no texts."""
+
+
+def with_texts(page: str, result: SimulationResult) -> str:
+    """A recording's page with names on the bodies, and a key."""
+    scene, entries, names = result.scene, [], []
+    for i, contact in enumerate(scene.contacts):
+        name = scene.contact_name(i)
+        names.append((f"{_branch(scene, i)}/name", name, 2.0 * contact.finger.size))
+        entries.append((colour_of(i), "\u2501", f"{name}: contact as measured, on both bodies"))
+    entries += [(INK, "\u2500", "planned"), (INK, "\u25cb\u2191", "contact point, force")]
+    if disturbances(result):
+        entries.append((DISTURBED, "\u25cf", "disturbed"))
+    lines = [
+        f'<span style="color: {colour}">{mark}</span> {html.escape(text)}'
+        for colour, mark, text in entries
+    ]
+    title = html.escape(f"{scene.name}: {scene.description}".strip(": "))
+    listed = json.dumps(names).replace("</", "<\\/")
+    key = KEY.format(ink=INK, title=title, entries="<br>".join(lines), names=listed)
+    page = page.replace("</script>", "</script>" + DRAWN, 1)  # once the viewer is known
+    return page.replace("</body>", key + "</body>")
