@@ -296,15 +296,11 @@ class StationConfig:
             _three_numbers(turn, f"turn[{k}]")
 
     def _check_used(self) -> None:
-        if self.hand is None:
-            which, keys = "without", [key for key in HANDS_ONLY if np.any(getattr(self, key))]
-        else:
-            default = StationConfig()
-            keys = [key for key in TIPS_ONLY if getattr(self, key) != getattr(default, key)]
-            which = "with"
-        if keys:
-            value = getattr(self, keys[0])
-            raise SceneError(f"{keys[0]} = {value!r}: it does nothing {which} a hand; leave it out")
+        which, keys = ("without", HANDS_ONLY) if self.hand is None else ("with", TIPS_ONLY)
+        for key in keys:
+            value, default = getattr(self, key), getattr(StationConfig(), key)
+            if list(np.ravel(value)) != list(np.ravel(default)):
+                raise SceneError(f"{key} = {value!r}: it does nothing {which} a hand; leave it out")
 
     def _check_hand(self, scene: Scene) -> None:
         require_config(self.hand, Hand, "hand")
