@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import Value
-from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from .balance import balancing_forces, friction_used, needed_wrench, way_to
@@ -79,8 +78,10 @@ class ForceBalancer(LeafSystem):
     def _CalcFound(self, context: Context) -> Array:
         X_WO = self._poses.Eval(context)[self._index]
         V_WO = self._velocities.Eval(context)[self._index].get_coeffs()
-        alpha, a = np.split(self._Acceleration(context, X_WO, V_WO), 2)
         R_WO, w, config = X_WO.rotation().matrix(), V_WO[:3], self._config
+        rate, X_WP = config.object_rate, context.get_abstract_parameter(0).get_value()
+        # back to the object's place
+        alpha, a = np.split(rate * (rate * way_to(X_WP, X_WO) - 2 * V_WO), 2)
         force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], w, alpha, a)
         points = self._points.Eval(context).reshape(1, -1, 6)[..., 3:]
         normals = -self._normals.Eval(context).reshape(1, -1, 3)
@@ -93,9 +94,3 @@ class ForceBalancer(LeafSystem):
         pressing = np.sum(forces * normals, axis=-1)
         used = friction_used(forces, normals, config.friction)
         return np.hstack([forces[0] @ R_WO.T, pressing.T, used.T])
-
-    def _Acceleration(self, context: Context, X_WO: RigidTransform, V_WO: Array) -> Array:
-        """Angular and linear, back to the object's place: (6,)."""
-        X_WP = context.get_abstract_parameter(0).get_value()
-        rate = self._config.object_rate
-        return rate * (rate * way_to(X_WP, X_WO) - 2 * V_WO)

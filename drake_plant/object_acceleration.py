@@ -70,14 +70,10 @@ class ObjectAcceleration(LeafSystem):
     def _Calc(self, context: Context, output: Any) -> None:
         found = [SpatialAcceleration(np.zeros(3), np.zeros(3)) for _ in range(self._count)]
         if self._free:
-            found[self._index] = self._Acceleration(context)
+            R_WO = self._poses.Eval(context)[self._index].rotation().matrix()
+            w, rest = self._velocities.Eval(context)[self._index].rotational(), np.zeros(3)
+            force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], w, rest, rest)
+            acts = self._forces.Eval(context).reshape(2, 3) @ R_WO - np.vstack([torque, force])
+            A_WO = np.linalg.solve(self._inertia.CopyToFullMatrix6(), acts.ravel())
+            found[self._index] = SpatialAcceleration(*A_WO.reshape(2, 3) @ R_WO.T)
         output.set_value(found)
-
-    def _Acceleration(self, context: Context) -> SpatialAcceleration:
-        X_WO = self._poses.Eval(context)[self._index]
-        w = self._velocities.Eval(context)[self._index].rotational()
-        R_WO, rest = X_WO.rotation().matrix(), np.zeros(3)
-        force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], w, rest, rest)
-        acts = self._forces.Eval(context).reshape(2, 3) @ R_WO - np.vstack([torque, force])
-        found = np.linalg.solve(self._inertia.CopyToFullMatrix6(), acts.ravel())
-        return SpatialAcceleration(*found.reshape(2, 3) @ R_WO.T)
