@@ -31,11 +31,10 @@ if TYPE_CHECKING:
     from .plant import AddScenePlant, ScenePlant
     from .plots import plot
     from .pressing import rolling_scene
-    from .pushes import PushSource
     from .recording import Recording
     from .reorientation import Reorientation, plan_reorientation
     from .simulation import SimulationResult, simulate
-    from .station import BuildStation, SetInitialState
+    from .station import BuildStation, PushSource, SetInitialState
     from .trajectories import ContactTrajectories, MakeTrajectories
 
 __all__ = [  # what a star imports: FmuSystem needs fmpy
@@ -91,11 +90,10 @@ _LATER = {
     "plant": ("AddScenePlant", "ScenePlant"),
     "plots": ("plot",),
     "pressing": ("rolling_scene",),
-    "pushes": ("PushSource",),
     "recording": ("Recording",),
     "reorientation": ("Reorientation", "plan_reorientation"),
     "simulation": ("SimulationResult", "simulate"),
-    "station": ("BuildStation", "SetInitialState"),
+    "station": ("BuildStation", "PushSource", "SetInitialState"),
     "trajectories": ("ContactTrajectories", "MakeTrajectories"),
 }
 """What is not asked for is not imported: all of it together takes three times as long as Drake."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,10 +138,10 @@ class FingertipDriver(LeafSystem):
         self.scene, self.config = scene_plant.scene, scene_plant.config
         self.object_index = int(scene_plant.object_body.index())
         self._object_center = np.array(scene_plant.object_body.default_com())
-        self.finger_indices = [body.index() for body in fingers]
+        self.finger_indices = [int(body.index()) for body in fingers]
         _check(scene_plant)
         constants = [tip_constants(body, scene_plant, hold=0.0) for body in fingers]
-        self._laws = PerThread(partial(_Laws, self.finger_indices, constants), {})
+        self._laws = PerThread(partial(FingerTables, driving_law(), POINT, constants), {})
         n = len(fingers)
         self._motion = self.DeclareVectorInputPort("motion", sum(MOTION.values()) * n)
         self._poses, self._velocities, self._accelerations = declare_plant_inputs(
@@ -159,8 +160,8 @@ class FingertipDriver(LeafSystem):
     def _CalcForces(self, context: Context, output: Value) -> None:
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
         A, o, law = self._accelerations.Eval(context), self.object_index, self._laws.own
-        x, n = law.x, len(law.bodies)
-        law.put(X, V, o, law.bodies)
+        x, n = law.x, len(self.finger_indices)
+        law.put(X, V, o, self.finger_indices)
         x["A_WO"][:] = A[o].get_coeffs()
         x["motion"][:] = self._motion.Eval(context).reshape(n, -1)
         for name, port in self._optional.items():
@@ -169,27 +170,17 @@ class FingertipDriver(LeafSystem):
             if name == "contact_force":
                 x["normal_force"][:] = 0.0 if given else self.config.normal_force
         law.run()
-        for applied, row in zip(law.applied, law.results):
-            applied.F_Bq_W = SpatialForce(row)
-        every, push = law.applied, self._optional["push"]
+        forces = [_force(*each) for each in zip(self.finger_indices, law.results)]
+        push = self._optional["push"]
         if push.HasValue(context) and (pushed := push.Eval(context)[-3:]).any():
-            every = [*every, _applied(BodyIndex(self.object_index), self._object_center)]
-            every[-1].F_Bq_W = SpatialForce(np.zeros(3), pushed)
-        output.set_value(every)
+            forces.append(_force(o, np.append(np.zeros(3), pushed), self._object_center))
+        output.set_value(forces)
 
 
-class _Laws(FingerTables):
-    """The law of all fingers, for one thread; ``applied`` are their forces."""
-
-    def __init__(self, bodies: list[BodyIndex], constants: list[list[float]]):
-        super().__init__(driving_law(), POINT, constants)
-        self.bodies = list(map(int, bodies))
-        self.applied = [_applied(body, np.zeros(3)) for body in bodies]
-
-
-def _applied(body: BodyIndex, center: Array) -> ExternallyAppliedSpatialForce:
+def _force(body: int, F_Bq_W: Array, p_BoBq_B: Any = (0, 0, 0)) -> ExternallyAppliedSpatialForce:
     applied = ExternallyAppliedSpatialForce()
-    applied.body_index, applied.p_BoBq_B = body, center
+    applied.body_index, applied.p_BoBq_B = BodyIndex(body), p_BoBq_B
+    applied.F_Bq_W = SpatialForce(F_Bq_W)
     return applied
 
 

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,23 +20,25 @@ from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
 
 from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
+from contact_system.checks import finite_number
 
 from .balance import pressed_config
-from .config import StationConfig, checked
+from .config import Push, StationConfig, body_names, check_pushes, checked
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import FingertipDriver
 from .force_balancer import COLUMNS, ForceBalancer
 from .object_acceleration import ObjectAcceleration
 from .plan_check import TOLERANCE
 from .plan_source import PlanSource
-from .planner_base import PlannerBase
+from .planner_base import EARLY, PlannerBase
 from .planner_system import ContactPlanner
-from .plant import AddScenePlant, ScenePlant, turning_angle
+from .plant import AGES, AddScenePlant, ScenePlant, turning_angle
 from .pressing import contact_depth, depth_between, rolling_scene
-from .pushes import PushSource
 
 Array = NDArray[np.float64]
 
@@ -164,6 +166,40 @@ def add_pushes(
         builder.ExportInput(driver.GetInputPort("push"), "push")
 
 
+def PushSource(scene: Scene, pushes: Sequence[Push], time_step: float = 0.0) -> TrajectorySource:
+    """What the port `push` of a :class:`FingertipDriver` takes: (3n + 3), N.
+
+    Parameters
+    ----------
+    scene : Scene
+    pushes : sequence of Push
+    time_step : float
+        Of a discrete plant, s, which holds a force for a step: in steps where a push begins or
+        ends, its mean; 0: as it is.
+
+    Raises
+    ------
+    SceneError
+        A push on something that the scene has not, or a wrong number.
+    """
+    check_pushes(scene, pushes)
+    finite_number(time_step, f"{scene.title}: time_step", "not below 0")
+    names = body_names(scene)
+    edges = np.array([0.0, *(p.start for p in pushes), *(p.stop for p in pushes)])
+    if time_step:
+        steps = np.floor(edges / time_step + 1e-6)
+        edges = time_step * np.concatenate([steps, steps + 1])
+    edges = np.unique(edges)  # those that differ by rounding alone count once
+    edges = np.append(edges[np.diff(edges, prepend=-1.0) > 2 * EARLY], AGES)
+    forces = np.zeros((len(edges), len(names), 3))
+    for push in pushes:
+        acting = np.diff(np.clip(edges, push.start, push.stop)) / np.diff(edges)
+        forces[:-1, names.index(push.on)] += np.outer(acting, push.force)
+    breaks = np.maximum(edges, EARLY) - EARLY
+    held = PiecewisePolynomial.ZeroOrderHold(breaks, forces.reshape(len(breaks), -1).T)
+    return TrajectorySource(held)
+
+
 def _export(
     builder: DiagramBuilder,
     planner: PlannerBase,
@@ -248,7 +284,7 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     twists = (twist - ago * change).reshape(-1, 6)
     poses = _finger_poses(planner, now, scene, config, forces)
     for index, X_OF, twist in zip(driver.finger_indices, poses, twists):
-        body = plant.get_body(index)
+        body = plant.get_body(BodyIndex(index))
         V_OF_W = SpatialVelocity(twist[:3], twist[3:]).Rotate(R_WO)
         V_WF = V_WO.ComposeWithMovingFrameVelocity(R_WO @ X_OF.translation(), V_OF_W)
         plant.SetFreeBodyPose(physics, body, X_WO @ X_OF)
