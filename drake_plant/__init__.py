@@ -23,9 +23,15 @@ if TYPE_CHECKING:
     from .force_balancer import ForceBalancer
     from .hand import Hand
     from .hand_driver import HandDriver
-    from .hand_outcome import HandReport, hand_report
     from .hand_station import BuildHandStation, HandResult, simulate_hand
-    from .measures import contact_table, object_report, outcome, push_table
+    from .measures import (
+        HandReport,
+        contact_table,
+        hand_report,
+        object_report,
+        outcome,
+        push_table,
+    )
     from .plan_source import PlanSource
     from .planner_system import ContactPlanner
     from .plant import AddScenePlant, ScenePlant
@@ -82,9 +88,10 @@ _LATER = {
     "force_balancer": ("ForceBalancer",),
     "hand": ("Hand",),
     "hand_driver": ("HandDriver",),
-    "hand_outcome": ("HandReport", "hand_report"),
     "hand_station": ("BuildHandStation", "HandResult", "simulate_hand"),
-    "measures": ("contact_table", "object_report", "outcome", "push_table"),
+    "measures": (
+        *("HandReport", "contact_table", "hand_report", "object_report", "outcome", "push_table"),
+    ),
     "plan_source": ("PlanSource",),
     "planner_system": ("ContactPlanner",),
     "plant": ("AddScenePlant", "ScenePlant"),

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import math
 import tomllib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,9 @@ from contact_system.terminal import Progress, paragraph, table
 
 # Drake takes a second to import, so functions import what needs it: help lists the command, too
 if TYPE_CHECKING:
-    from .measures import ContactReport
+    from .hand_kinematics import Chains
+    from .hand_station import HandResult
+    from .measures import ContactReport, HandReport
     from .simulation import SimulationResult
 
 TICKS = 1000  # of the progress bar
@@ -101,11 +104,10 @@ def _written(
 
 
 def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable[str]:
-    from .hand_outcome import hand_lines
     from .hand_station import HandResult
     from .measures import EDGE, SATURATED, contact_table
 
-    scene, config, reports = result.scene, result.config, contact_table(result)
+    scene, config = result.scene, result.config
     yield f"{scene.name or 'scene'}: {scene.description}".rstrip(": ")
     yield (
         f"{config.contact_model} contact, step {config.time_step:g} s: "
@@ -115,8 +117,9 @@ def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable
     )
     yield ""
     if isinstance(result, HandResult):
-        yield from hand_lines(result)
+        yield from _hand(result)
         return
+    reports = contact_table(result)
     yield from _forces(reports)
     yield from _explained(
         f"Normal force: excluding {EDGE:g} s after the start and around a disturbance's edges. "
@@ -177,37 +180,93 @@ def _happened(result: SimulationResult, reports: Sequence[ContactReport]) -> Ite
 
 
 def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
+    of = partial(_of_each, reports)
     return _table(
-        reports,
-        ("normal force", "N", lambda r: _number(r.normal_mean, ".4f")),
-        ("deviation", "N", lambda r: _number(r.normal_deviation, ".4f")),
-        ("off object", "s", lambda r: _number(r.off, ".3f")),
-        ("peak friction", "N", lambda r: _number(r.friction_peak, ".3f")),
-        ("over mu N", "", lambda r: _number(r.friction_ratio, ".3f")),
-        ("in rolling", "N", lambda r: _number(r.rolling_friction, ".3f")),
-        ("slip/speed", "", lambda r: _number(r.rolling_slip, ".1e")),
-        ("distance", "mm", lambda r: _number(1e3 * r.distance, ".3f")),
+        *("contact", of("name")),
+        ("normal force", "N", of("normal_mean"), ".4f"),
+        ("deviation", "N", of("normal_deviation"), ".4f"),
+        ("off object", "s", of("off"), ".3f"),
+        ("peak friction", "N", of("friction_peak"), ".3f"),
+        ("over mu N", "", of("friction_ratio"), ".3f"),
+        ("in rolling", "N", of("rolling_friction"), ".3f"),
+        ("slip/speed", "", of("rolling_slip"), ".1e"),
+        ("distance", "mm", 1e3 * np.array(of("distance")), ".3f"),
     )
 
 
 def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
+    of = partial(_of_each, [r for r in reports if r.disturbed])
     return _table(
-        [r for r in reports if r.disturbed],
-        ("slip disturbed", "m/s", lambda r: f"{r.disturbed_slip:.2e}"),
-        ("greatest before", "m/s", lambda r: _number(r.slip_before, ".2e")),
-        ("saturated", "", lambda r: f"{r.saturated:.0%}"),
-        ("recovery", "s", lambda r: _number(r.recovery, ".3f")),
-        ("paper", "s", lambda r: _number(r.reported, "g")),
-        ("verdict", "", lambda r: r.verdict),
+        *("contact", of("name")),
+        ("slip disturbed", "m/s", of("disturbed_slip"), ".2e"),
+        ("greatest before", "m/s", of("slip_before"), ".2e"),
+        ("saturated", "", of("saturated"), ".0%"),
+        ("recovery", "s", of("recovery"), ".3f"),
+        ("paper", "s", of("reported"), "g"),
+        ("verdict", "", of("verdict"), "s"),
     )
 
 
+def _of_each(reports: Sequence[ContactReport], key: str) -> list[Any]:
+    return [getattr(report, key) for report in reports]
+
+
 def _table(
-    reports: Sequence[ContactReport], *columns: tuple[str, str, Callable[[ContactReport], str]]
+    whose: str, names: Iterable[str], *columns: tuple[str, str, Iterable[Any], str]
 ) -> Iterable[str]:
-    head = (("contact", ""), *((name, unit) for name, unit, _ in columns))
-    rows = [(r.name, *(text(r) for _, _, text in columns)) for r in reports]
-    return (*table(head, rows, 1), "")
+    """Columns: name, unit, values and how they are written."""
+    head = ((whose, ""), *((name, unit) for name, unit, _, _ in columns))
+    cells = [[_cell(form, x) for x in values] for _, _, values, form in columns]
+    return (*table(head, list(zip(names, *cells)), 1), "")
+
+
+def _cell(form: str, value: Any) -> str:
+    if value == math.inf:
+        return "not seen"
+    return "-" if value != value else format(value, form)
+
+
+def _hand(result: HandResult) -> Iterable[str]:
+    from .measures import angles_between, durations, hand_report
+
+    told, plan, scene = hand_report(result), result.plan, result.scene
+    force = np.average(result.measured["normal_force"], axis=0, weights=durations(result))
+    spin = np.abs(np.trapezoid(plan.spin, plan.t, axis=0))
+    yield from _table(
+        *("finger", [scene.contact_name(i) for i in range(len(force))]),
+        ("normal force", "N", force, ".3f"),
+        ("cone planned", "", told.cones_planned, ".1%"),
+        ("cone measured", "", told.cones, ".1%"),
+        ("slip", "mm", 1e3 * told.slipped, ".3f"),
+        ("off object", "s", told.lost, ".3f"),
+        ("spin", "degrees", np.degrees(spin), ".1f"),
+    )
+    goal = math.degrees(angles_between(*plan.object_pose[[0, -1]]))
+    yield paragraph(
+        f"The object is to turn by {goal:.3g} degrees. At the end it is "
+        f"{1e3 * told.off[-1]:.3g} mm and {math.degrees(told.turned_off[-1]):.3g} degrees from "
+        "where it is to be then; on the way it was off its path by "
+        f"{1e3 * told.off.max():.3g} mm and "
+        f"{math.degrees(told.turned_off.max()):.3g} degrees at most."
+    )
+    yield paragraph(_of_joints(plan.chains, told))
+    yield ""
+    yield from _explained(
+        "Cone: part of the friction cone that is used, measured outside pushes and 0.1 s after. "
+        "Slip: summed. Spin: how far the plan turns the finger about the normal, which point "
+        "contact does not resist."
+    )
+
+
+def _of_joints(chains: Chains, told: HandReport) -> str:
+    k, j = int(np.argmax(told.torque_share)), int(np.argmin(told.room / chains.unit))
+    torques = f"{told.torque_share[k]:.0%} of the limit at most, at {chains.names[k]}"
+    if not np.isfinite(chains.effort).any():
+        torques = "without limits, as the model has no actuators"
+    near = f"{math.degrees(told.room[j]):.3g} degrees"
+    if chains.slides[j]:
+        near = f"{1e3 * told.room[j]:.3g} mm"
+    return f"Torques: {torques}. Joints: {chains.names[j]} comes to {near} from a limit."
 
 
 def _pushes(result: SimulationResult, opened: SimulationResult | None) -> Iterable[str]:
@@ -236,12 +295,6 @@ def _pushes(result: SimulationResult, opened: SimulationResult | None) -> Iterab
         "contact point from the one planned at first, at most and when the next push begins. Of a "
         "push on the object: of the worst contact."
     )
-
-
-def _number(value: float, form: str) -> str:
-    if math.isinf(value):
-        return "not seen"
-    return "-" if math.isnan(value) else format(value, form)
 
 
 def _paper(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterable[str]:

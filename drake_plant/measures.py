@@ -1,4 +1,5 @@
-"""What contact physics made of a plan, contact by contact, beside what the paper reports."""
+"""What contact physics made of a plan, contact by contact, beside what the paper reports, and of a
+hand's."""
 
 from __future__ import annotations
 
@@ -9,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from contact_system import Scene, plan
 from contact_system.measures import REJECTED, windows
 
 from .config import require_config
 from .contact_monitor import SATURATED
+from .hand_station import HandResult
 from .simulation import CONTINUOUS, SimulationResult, simulate
 
 if TYPE_CHECKING:
@@ -187,6 +190,35 @@ class PushReport:
     left: float
 
 
+@dataclass(frozen=True)
+class HandReport:
+    """Measures of a simulated hand. SI units, angles in rad; n fingers, nq joints.
+
+    Attributes
+    ----------
+    off, turned_off : (m,)
+        Distance of the object's origin from its path, and angle of its orientation.
+    slipped, lost : (n,)
+        Slip summed while touching, m, and time off the object, s.
+    cones_planned, cones : (n,)
+        The greatest part of a friction cone that is used; measured outside pushes and 0.1 s after,
+        NaN if the finger never touches then.
+    torque_share : (nq,)
+        Greatest torque over its limit, in plan and run; of a joint that slides, force.
+    room : (nq,)
+        How near a joint comes to a limit, negative beyond it, in plan and run.
+    """
+
+    off: Array
+    turned_off: Array
+    slipped: Array
+    lost: Array
+    cones_planned: Array
+    cones: Array
+    torque_share: Array
+    room: Array
+
+
 def outcome(scene: Scene, duration: float | None = None) -> dict[str, Array]:
     """Simulate a scene as its ``[drake]`` table says, and tell what became of each contact.
 
@@ -222,13 +254,17 @@ def object_report(result: SimulationResult) -> ObjectReport:
     require_config(result, SimulationResult, "result")
     poses = result.object_pose
     path = poses[:, :3, 3] - poses[0, :3, 3]
-    traces = np.einsum("mij,ij->m", poses[:, :3, :3], poses[0, :3, :3])
-    angle = np.arccos(np.clip((traces - 1) / 2, -1, 1))
     config, carried = result.config, math.nan
     if config.gravity and config.object == "free":
         carried = min(1.0, 1 + _acceleration(result) / config.gravity)
-    farthest = np.linalg.norm(path, axis=1).max()
-    return ObjectReport(float(farthest), float(angle.max()), float(carried))
+    farthest, most = np.linalg.norm(path, axis=1).max(), angles_between(poses, poses[0]).max()
+    return ObjectReport(float(farthest), float(most), float(carried))
+
+
+def angles_between(one: Array, other: Array) -> Array:
+    """Of the rotation from poses (..., 4, 4) to others, (...), rad."""
+    turns = [Rotation.from_matrix(X[..., :3, :3]) for X in (one, other)]
+    return (turns[0] * turns[1].inv()).magnitude()
 
 
 def _acceleration(result: SimulationResult) -> float:
@@ -294,6 +330,29 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
         )
         for i, own in enumerate(disturbed)
     ]
+
+
+def hand_report(result: HandResult) -> HandReport:
+    """Measure what a hand did."""
+    require_config(result, HandResult, "result")
+    plan, chains, t = result.plan, result.plan.chains, result.t
+    X, wanted = result.object_pose, result.wanted_pose
+    pushed = np.zeros(len(t), bool)
+    for push in result.config.pushes:
+        pushed |= (t >= push.start) & (t < push.stop + EDGE)
+    used = result.measured["friction_used"][~pushed]
+    seen = np.isfinite(used).any(axis=0)
+    torques, q = np.vstack([plan.torques, result.torque]), np.vstack([plan.q, result.q])
+    return HandReport(
+        off=np.linalg.norm(X[:, :3, 3] - wanted[:, :3, 3], axis=1),
+        turned_off=angles_between(X, wanted),
+        slipped=path_slid(result).sum(axis=0),
+        lost=time_off(result).sum(axis=0),
+        cones_planned=plan.cones.max(axis=0),
+        cones=np.where(seen, np.nanmax(used, axis=0, initial=0.0), np.nan),
+        torque_share=(np.abs(torques) / chains.effort).max(axis=0),
+        room=chains.room(q).min(axis=0),
+    )
 
 
 def path_slid(result: SimulationResult) -> Array:

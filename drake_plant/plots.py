@@ -7,7 +7,7 @@ matplotlib is imported only when a picture is asked for.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,9 +21,8 @@ from contact_system.plots.meshes import mesh_of
 from contact_system.plots.style import DISTURBED, INK, RECOVERY, colour_of
 
 from .config import require_config
-from .hand_outcome import HAND_PANELS
 from .hand_station import HandResult
-from .measures import misses
+from .measures import hand_report, misses, path_slid
 from .simulation import SimulationResult
 
 Array = NDArray[np.float64]
@@ -64,9 +63,7 @@ def plot(
         draw_title(left, planned)
         _draw_curves(left.add_axes((0.02, 0.18, 0.96, 0.68)), result, planned)
         _key(left.add_axes((0.05, 0.02, 0.9, 0.15)), result)
-        panels: Sequence[Callable[..., None]] = HAND_PANELS
-        if not isinstance(result, HandResult):
-            panels = _draw_slip, _draw_normal, _draw_friction, _draw_distance
+        panels: Sequence[Any] = HAND_PANELS if isinstance(result, HandResult) else PANELS
         for k, draw in enumerate(panels):
             axes = right.add_axes((0.12, 0.785 - 0.24 * k, 0.84, 0.175))
             draw(axes, result)
@@ -75,66 +72,104 @@ def plot(
             _finish(axes, result, planned, last=k == len(panels) - 1)
 
 
+# --- over time ---------------------------------------------------------------------------------
+
+
 def _draw_slip(ax: Any, result: SimulationResult, closed: bool = True) -> None:
     """Measured slip and, dashed, the planner's; of an open loop beside it slip alone, dotted."""
-    slip = np.linalg.norm(result.measured["slip"], axis=2)
-    planned = np.linalg.norm(result.planned["slip"], axis=2)
+    slip, planned = (
+        np.linalg.norm(said["slip"], axis=2) for said in (result.measured, result.planned)
+    )
     peak = max(slip.max(), planned.max())
-    for i in range(slip.shape[1]):
-        line = {"color": colour_of(i), "linewidth": 0.9, "linestyle": "-" if closed else ":"}
-        ax.plot(result.t, slip[:, i], **line)
-        shown = np.where(planned[:, i] > INTEGRATED * peak, planned[:, i], np.nan)
-        if closed:
-            line |= {"linewidth": 1.6, "dashes": (2.2, 1.1)}
-            ax.plot(result.t, shown, **line)
+    _each(ax, result.t, slip, linewidth=0.9, linestyle="-" if closed else ":")
+    if closed:
+        shown = np.where(planned > INTEGRATED * peak, planned, np.nan)
+        _each(ax, result.t, shown, linewidth=1.6, dashes=(2.2, 1.1))
     ax.set_yscale("log")
     if peak > 0:
         ax.set_ylim(1e-5 * peak, 3 * peak)
     title = "Slip, measured (dashed: of the plan)" if closed else "Slip (dotted: loop open)"
-    ax.set_title(title, loc="left", weight="bold")
-    ax.set_ylabel("slip [m/s]")
+    _titled(ax, title, ylabel="slip [m/s]")
 
 
 def _draw_normal(ax: Any, result: SimulationResult) -> None:
     wanted = result.planned["normal_force"]
-    _draw_force(ax, result.t, result.measured["normal_force"], wanted, 2 * wanted.max())
-    ax.set_title(f"Normal force ({BOLD}; dotted: asked for)", loc="left", weight="bold")
+    _draw_rippling(ax, result.t, result.measured["normal_force"], wanted, 2 * wanted.max())
+    _titled(ax, f"Normal force ({BOLD}; dotted: asked for)", ylabel="force [N]")
 
 
 def _draw_friction(ax: Any, result: SimulationResult) -> None:
     """Of a balance the part of the cones that is used, else the tangential force."""
     if result.config.balances:
         used = np.nan_to_num(result.measured["friction_used"])
-        _draw_force(ax, result.t, used, result.planned["friction_used"], 1.3)
+        _draw_rippling(ax, result.t, used, result.planned["friction_used"], 1.3)
         ax.axhline(1.0, color=INK, linewidth=0.9)
-        ax.set_title(
-            "Friction used (line: all of the cone; dotted: planned)", loc="left", weight="bold"
-        )
-        ax.set_ylabel("part of the cone")
+        title = "Friction used (line: all of the cone; dotted: planned)"
+        _titled(ax, title, ylabel="part of the cone")
         return
     friction = np.linalg.norm(result.measured["tangential_force"], axis=2)
     limit = result.config.friction * result.planned["normal_force"]
-    _draw_force(ax, result.t, friction, limit, 1.3 * limit.max())
-    ax.set_title(rf"Tangential force ({BOLD}; dotted: $\mu N$)", loc="left", weight="bold")
-
-
-def _draw_force(ax: Any, t: Array, forces: Array, wanted: Array, top: float) -> None:
-    for i, force in enumerate(forces.T):
-        _ripple(ax, t, force, colour_of(i))
-    for level in wanted.T:
-        ax.plot(t, level, color=INK, linewidth=0.9, linestyle=":")
-    ax.set_ylim(0.0, top or None)
-    ax.set_ylabel("force [N]")
+    _draw_rippling(ax, result.t, friction, limit, 1.3 * limit.max())
+    _titled(ax, rf"Tangential force ({BOLD}; dotted: $\mu N$)", ylabel="force [N]")
 
 
 def _draw_distance(ax: Any, result: SimulationResult, closed: bool = True) -> None:
-    for i, distance in enumerate(1e3 * np.linalg.norm(misses(result), axis=2).T):
-        line = {"linewidth": 1.2, "linestyle": "-" if closed else ":"}
-        ax.plot(result.t, distance, color=colour_of(i), **line)
-    ax.set_title("Measured contact point from the planned one", loc="left", weight="bold")
-    ax.set_ylabel("distance [mm]")
+    distance = 1e3 * np.linalg.norm(misses(result), axis=2)
+    _each(ax, result.t, distance, linewidth=1.2, linestyle="-" if closed else ":")
+    _titled(ax, "Measured contact point from the planned one", ylabel="distance [mm]")
     ax.relim()
     ax.set_ylim(bottom=0.0, top=1.05 * ax.dataLim.ymax or None)
+
+
+def _draw_errors(ax: Any, result: HandResult) -> None:
+    told = hand_report(result)
+    for values, style in ((1e3 * told.off, "-"), (np.degrees(told.turned_off), ":")):
+        ax.plot(result.t, values, color=INK, linewidth=1.2, linestyle=style)
+    _titled(
+        ax, "Object off its path (dotted: angle, degrees)", ylabel="distance [mm]", ylim=(0, None)
+    )
+
+
+def _draw_slipped(ax: Any, result: HandResult) -> None:
+    _each(ax, result.t, 1e3 * np.cumsum(path_slid(result), axis=0), linewidth=1.2)
+    _titled(ax, "Slip, summed", ylabel="slip [mm]", ylim=(0, None))
+
+
+def _draw_cones(ax: Any, result: HandResult) -> None:
+    _each(ax, result.t, result.measured["friction_used"], linewidth=1.2)
+    _each(ax, result.plan.t, result.plan.cones, linestyle="--")
+    ax.axhline(result.config.friction_share, color=INK, linewidth=0.9, linestyle=":")
+    title = "Part of the friction cone (dashed: planned; dotted: allowed)"
+    _titled(ax, title, ylabel=r"$f_t / \mu N$", ylim=(0, 1))
+
+
+def _draw_torques(ax: Any, result: HandResult) -> None:
+    for i, own in enumerate(result.plan.chains.joints):
+        share = np.abs(result.torque[:, own]) / result.plan.chains.effort[own]
+        ax.plot(result.t, share, color=colour_of(i), linewidth=0.9)
+    _titled(ax, "Torques over their limits, each joint", ylabel="part", ylim=(0, 1))
+
+
+PANELS = (_draw_slip, _draw_normal, _draw_friction, _draw_distance)
+HAND_PANELS = (_draw_errors, _draw_slipped, _draw_cones, _draw_torques)
+
+
+def _titled(ax: Any, title: str, **axis: Any) -> None:
+    ax.set_title(title, loc="left", weight="bold")
+    ax.set(**axis)
+
+
+def _each(ax: Any, t: Array, values: Array, **line: Any) -> None:
+    """A line for each contact, of the columns of values (m, n)."""
+    for i, own in enumerate(values.T):
+        ax.plot(t, own, color=colour_of(i), **line)
+
+
+def _draw_rippling(ax: Any, t: Array, values: Array, wanted: Array, top: float) -> None:
+    for i, own in enumerate(values.T):
+        _ripple(ax, t, own, colour_of(i))
+    ax.plot(t, wanted, color=INK, linewidth=0.9, linestyle=":")
+    ax.set_ylim(0.0, top or None)
 
 
 def _ripple(ax: Any, t: Array, values: Array, colour: str) -> None:
