@@ -80,8 +80,7 @@ from .config import EDGES, StationConfig, checked, require_config
 from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
 from .hand_kinematics import add_hand
 from .meshes import Domain, SurfaceMesh, contact_mesh, domain_of
-from .pressing import check_depth, contact_depth
-from .touches import Touch, touches_of
+from .pressing import Touch, check_depth, contact_depth, touches_of
 
 Array = NDArray[np.float64]
 
