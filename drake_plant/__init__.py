@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from .force_balancer import ForceBalancer
     from .hand import Hand
     from .hand_driver import HandDriver
-    from .hand_station import BuildHandStation, HandResult, simulate_hand
     from .measures import (
         HandReport,
         contact_table,
@@ -39,8 +38,8 @@ if TYPE_CHECKING:
     from .pressing import rolling_scene
     from .recording import Recording
     from .reorientation import Reorientation, plan_reorientation
-    from .simulation import SimulationResult, simulate
-    from .station import BuildStation, PushSource, SetInitialState
+    from .simulation import HandResult, SimulationResult, simulate, simulate_hand
+    from .station import BuildHandStation, BuildStation, PushSource, SetInitialState
     from .trajectories import ContactTrajectories, MakeTrajectories
 
 __all__ = [  # what a star imports: FmuSystem needs fmpy
@@ -88,7 +87,6 @@ _LATER = {
     "force_balancer": ("ForceBalancer",),
     "hand": ("Hand",),
     "hand_driver": ("HandDriver",),
-    "hand_station": ("BuildHandStation", "HandResult", "simulate_hand"),
     "measures": (
         *("HandReport", "contact_table", "hand_report", "object_report", "outcome", "push_table"),
     ),
@@ -99,8 +97,8 @@ _LATER = {
     "pressing": ("rolling_scene",),
     "recording": ("Recording",),
     "reorientation": ("Reorientation", "plan_reorientation"),
-    "simulation": ("SimulationResult", "simulate"),
-    "station": ("BuildStation", "PushSource", "SetInitialState"),
+    "simulation": ("HandResult", "SimulationResult", "simulate", "simulate_hand"),
+    "station": ("BuildHandStation", "BuildStation", "PushSource", "SetInitialState"),
     "trajectories": ("ContactTrajectories", "MakeTrajectories"),
 }
 """What is not asked for is not imported: all of it together takes three times as long as Drake."""

@@ -21,9 +21,8 @@ from contact_system.terminal import Progress, paragraph, table
 # Drake takes a second to import, so functions import what needs it: help lists the command, too
 if TYPE_CHECKING:
     from .hand_kinematics import Chains
-    from .hand_station import HandResult
     from .measures import ContactReport, HandReport
-    from .simulation import SimulationResult
+    from .simulation import HandResult, SimulationResult
 
 TICKS = 1000  # of the progress bar
 
@@ -104,8 +103,8 @@ def _written(
 
 
 def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable[str]:
-    from .hand_station import HandResult
     from .measures import EDGE, SATURATED, contact_table
+    from .simulation import HandResult
 
     scene, config = result.scene, result.config
     yield f"{scene.name or 'scene'}: {scene.description}".rstrip(": ")

@@ -17,8 +17,7 @@ from contact_system.measures import REJECTED, windows
 
 from .config import require_config
 from .contact_monitor import SATURATED
-from .hand_station import HandResult
-from .simulation import CONTINUOUS, SimulationResult, simulate
+from .simulation import CONTINUOUS, HandResult, SimulationResult, simulate
 
 if TYPE_CHECKING:
     from .config import Push

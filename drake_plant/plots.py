@@ -21,9 +21,8 @@ from contact_system.plots.meshes import mesh_of
 from contact_system.plots.style import DISTURBED, INK, RECOVERY, colour_of
 
 from .config import require_config
-from .hand_station import HandResult
 from .measures import hand_report, misses, path_slid
-from .simulation import SimulationResult
+from .simulation import HandResult, SimulationResult
 
 Array = NDArray[np.float64]
 

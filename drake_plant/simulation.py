@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, EventStatus
+from scipy.interpolate import make_interp_spline
 
 from contact_system import ContactSystemError, Scene, SceneError, plan
 from contact_system.checks import a_path, finite_number
@@ -23,12 +24,13 @@ from contact_system.scene import scene_to_toml
 from contact_system.writing import writing
 
 from .balance import friction_used
-from .config import StationConfig, checked
+from .config import StationConfig, checked, require_config
 from .contact_gauge import COLUMNS
+from .hand_kinematics import moving_joints
 from .plant import ScenePlant
 from .recording import Recording
-from .reorientation import plan_reorientation
-from .station import SetInitialState, build
+from .reorientation import Reorientation, plan_reorientation
+from .station import BuildHandStation, SetInitialState, build
 
 Array = NDArray[np.float64]
 
@@ -132,6 +134,24 @@ class SimulationResult:
         np.savetxt(file, rows, form, ",", header=",".join(head), comments="")
 
 
+@dataclass(eq=False, repr=False)
+class HandResult(SimulationResult):
+    """A :class:`SimulationResult` of a hand, and besides, m times:
+
+    Attributes
+    ----------
+    plan : Reorientation
+    wanted_pose : (m, 4, 4)
+        X_WO as planned.
+    q, torque : (m, nq)
+    """
+
+    plan: Reorientation
+    wanted_pose: Array
+    q: Array
+    torque: Array
+
+
 def simulate(
     scene: Scene,
     config: StationConfig | None = None,
@@ -170,8 +190,6 @@ def simulate(
         )
     period = step * max(1, math.floor(min(LOGGED, duration) / step + NEAR))
     if config.hand is not None:
-        from .hand_station import simulate_hand
-
         planned_hand = plan_reorientation(config.hand, scene, config=config)
         return simulate_hand(planned_hand, duration, progress, recording)
     # meshes have to reach as far as contacts go
@@ -194,6 +212,45 @@ def simulate(
     return run.filmed(
         SimulationResult(scene, config, t, planned, measured, said["pose"], *run.times)
     )
+
+
+def simulate_hand(
+    plan: Reorientation,
+    duration: float | None = None,
+    progress: Callable[[float], None] | None = None,
+    recording: str | Path | None = None,
+) -> HandResult:
+    """Simulate a plan from its start: see :func:`simulate`."""
+    require_config(plan, Reorientation, "plan")
+    duration = plan.scene.duration if duration is None else duration
+    finite_number(duration, f"{plan.scene.title}: duration", "above 0")
+    run = Run(plan.scene, plan.config, partial(BuildHandStation, plan), recording)
+    driver, plant = run.station.GetSubsystemByName("driver"), run.parts.plant
+    own, physics = (system.GetMyContextFromRoot(run.root) for system in (driver, plant))
+    joints = [joint.position_start() for joint in moving_joints(plant)]
+    asked: Asked = {
+        "q": lambda: plant.GetPositions(physics)[joints],
+        "torque": partial(driver.GetOutputPort("torque").Eval, own),
+    }
+    t, said, measured = run.follow(duration, LOGGED, progress, asked)
+    seen = t, _hand_planned(plan, t), measured, said["pose"], *run.times
+    wanted = np.array([plan.path.GetPose(x).GetAsMatrix4() for x in t])
+    return run.filmed(
+        HandResult(plan.rolling, plan.config, *seen, plan, wanted, said["q"], said["torque"])
+    )
+
+
+def _hand_planned(plan: Reorientation, t: Array) -> dict[str, Array]:
+    """What is planned, as a SimulationResult has it."""
+    inside = np.clip(t, plan.t[0], plan.t[-1])
+    planned = {
+        "state": np.unwrap(plan.states, axis=0),
+        "slip": np.zeros((*plan.states.shape[:2], 2)),
+        "contact_point": plan.points[:, :, 1],
+        "normal_force": np.einsum("mij,mij->mi", plan.forces, plan.normals),
+        "friction_used": plan.cones,
+    }
+    return {key: make_interp_spline(plan.t, x, k=1)(inside) for key, x in planned.items()}
 
 
 Asked = dict[str, Callable[[], Any]]

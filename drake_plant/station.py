@@ -1,4 +1,4 @@
-"""A scene wired up: planner, plant, fingertip driver and contact monitor in one Diagram.
+"""A scene wired up: planner, plant, driver and contact monitor in one Diagram.
 
 ``BuildStation`` gives the Diagram, ``SetInitialState`` puts its bodies where the plan starts::
 
@@ -28,10 +28,12 @@ from contact_system import plan as make_plan
 from contact_system.checks import finite_number
 
 from .balance import pressed_config
-from .config import Push, StationConfig, body_names, check_pushes, checked
+from .config import Push, StationConfig, body_names, check_pushes, checked, require_config
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import FingertipDriver
 from .force_balancer import COLUMNS, ForceBalancer
+from .hand_driver import HandDriver
+from .hand_kinematics import moving_joints
 from .object_acceleration import ObjectAcceleration
 from .plan_check import TOLERANCE
 from .plan_source import PlanSource
@@ -39,9 +41,11 @@ from .planner_base import EARLY, PlannerBase
 from .planner_system import ContactPlanner
 from .plant import AGES, AddScenePlant, ScenePlant, turning_angle
 from .pressing import contact_depth, depth_between, rolling_scene
+from .reorientation import Reorientation
 
 Array = NDArray[np.float64]
 
+MOTIONS = "body_poses", "body_spatial_velocities"
 STARTED = {"planner": PlannerBase, "driver": FingertipDriver, "plant": MultibodyPlant}
 
 
@@ -113,21 +117,18 @@ def build(
     for body, X_OF in zip(parts.finger_bodies, start):
         parts.plant.SetDefaultFloatingBaseBodyPose(body, X_OF)
     driver = builder.AddNamedSystem("driver", FingertipDriver(parts))
-    monitor = builder.AddNamedSystem("monitor", ContactMonitor(planned, parts))
-    plant, motions = parts.plant, ("body_poses", "body_spatial_velocities")
+    monitor = _add_monitor(builder, parts, planned, driver)
+    plant = parts.plant
     accelerating: LeafSystem = plant
     if not config.time_step:
         accelerating = builder.AddNamedSystem("object_acceleration", ObjectAcceleration(parts))
         instance = parts.object_body.model_instance()
         forces = plant.get_generalized_contact_forces_output_port(instance)
         builder.Connect(forces, accelerating.GetInputPort("generalized_contact_forces"))
-        wire(builder, plant, accelerating, *motions)
+        wire(builder, plant, accelerating, *MOTIONS)
     wire(builder, planner, driver, "motion")
-    wire(builder, plant, driver, *motions)
+    wire(builder, plant, driver, *MOTIONS)
     wire(builder, accelerating, driver, "body_spatial_accelerations")
-    wire(builder, plant, monitor, "contact_results", *motions)
-    if config.slip_gain:
-        wire(builder, monitor, driver, "sliding")
     if config.restarts:
         builder.Connect(monitor.GetOutputPort("state"), planner.GetInputPort("measured_state"))
     applied = plant.get_applied_spatial_force_input_port()
@@ -135,15 +136,40 @@ def build(
     if config.balances:
         balancer = builder.AddNamedSystem("balancer", ForceBalancer(parts, least))
         wire(builder, planner, balancer, "contact_point", "normal")
-        wire(builder, plant, balancer, *motions)
+        wire(builder, plant, balancer, *MOTIONS)
         wire(builder, balancer, driver, "contact_forces")
         for name in COLUMNS:
             builder.ExportOutput(balancer.GetOutputPort(name), f"planned_{name}")
-    add_pushes(builder, scene, config, driver)
     builder.ExportInput(monitor.GetInputPort("noise"), "noise")
     if config.disturbance_input:
         builder.ExportInput(planner.GetInputPort("disturbance"), "disturbance")
     _export(builder, planner, driver, monitor, parts)
+    if extend is not None:
+        extend(builder, parts)
+    return builder.Build(), parts
+
+
+def BuildHandStation(
+    plan: Reorientation, extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None
+) -> tuple[Diagram, ScenePlant]:
+    """Plant, :class:`HandDriver` and :class:`ContactMonitor` of a plan, wired.
+
+    The systems are named "plant", "scene_graph", "driver", "monitor", and "push" where there are
+    pushes; else the driver's port is exported as `push`. The plant's default state is the start.
+    """
+    require_config(plan, Reorientation, "plan")
+    builder = DiagramBuilder()
+    parts = AddScenePlant(builder, plan.scene, plan.config)
+    plant = parts.plant
+    driver = builder.AddNamedSystem("driver", HandDriver(plan, parts))
+    _add_monitor(builder, parts, plan.rolling, driver)
+    wire(builder, plant, driver, "state", "body_poses")
+    builder.Connect(
+        driver.GetOutputPort("generalized_force"), plant.get_applied_generalized_force_input_port()
+    )
+    plant.SetDefaultFloatingBaseBodyPose(parts.object_body, plan.path.GetPose(0.0))
+    for joint, position in zip(moving_joints(plant), plan.q[0]):
+        joint.set_default_positions([position])
     if extend is not None:
         extend(builder, parts)
     return builder.Build(), parts
@@ -155,15 +181,21 @@ def wire(builder: DiagramBuilder, source: LeafSystem, target: LeafSystem, *names
         builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
 
 
-def add_pushes(
-    builder: DiagramBuilder, scene: Scene, config: StationConfig, driver: LeafSystem
-) -> None:
-    """What pushes fingers and object: the configuration's pushes, or an exported port."""
+def _add_monitor(
+    builder: DiagramBuilder, parts: ScenePlant, planned: Scene, driver: LeafSystem
+) -> ContactMonitor:
+    """What measures contact, and what disturbs it: the configuration's pushes, or a port."""
+    monitor = builder.AddNamedSystem("monitor", ContactMonitor(planned, parts))
+    wire(builder, parts.plant, monitor, "contact_results", *MOTIONS)
+    config, port = parts.config, driver.GetInputPort("push")
+    if config.slip_gain:
+        wire(builder, monitor, driver, "sliding")
     if config.pushes:
-        source = builder.AddNamedSystem("push", PushSource(scene, config.pushes, config.time_step))
-        builder.Connect(source.get_output_port(), driver.GetInputPort("push"))
+        source = PushSource(parts.scene, config.pushes, config.time_step)
+        builder.Connect(builder.AddNamedSystem("push", source).get_output_port(), port)
     else:
-        builder.ExportInput(driver.GetInputPort("push"), "push")
+        builder.ExportInput(port, "push")
+    return monitor
 
 
 def PushSource(scene: Scene, pushes: Sequence[Push], time_step: float = 0.0) -> TrajectorySource:

@@ -16,8 +16,8 @@ import contact_system as cs
 from contact_system.cli import main
 from drake_plant import Hand, StationConfig, hand_report, plan_reorientation, simulate
 from drake_plant.hand import own_hand
-from drake_plant.hand_station import simulate_hand
 from drake_plant.measures import object_report
+from drake_plant.simulation import simulate_hand
 
 H2 = cs.load_scene("H2")
 
