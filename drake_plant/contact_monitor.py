@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import ContactSurface, GeometryId, PenetrationAsPointPair
+from pydrake.geometry import ContactSurface, GeometryId
 from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
@@ -113,9 +113,24 @@ class ContactMonitor(LeafSystem):
                 f"{scene_plant.scene.title}: give the scene that it was made for, or rolling_scene "
                 "of it"
             )
-        self._scene, self._bodies = scene, _Bodies(scene, scene_plant)
-        self._friction = scene_plant.config.friction
-        plant = scene_plant.plant
+        self._scene, self._friction = scene, scene_plant.config.friction
+        plant, fingers = scene_plant.plant, scene_plant.finger_bodies
+        flat = isinstance(scene.object, Plane)
+        self._at_finger = [
+            flat and rolling.finger != nominal.finger
+            for rolling, nominal in zip(scene.contacts, scene_plant.scene.contacts)
+        ]
+        self._object = int(scene_plant.object_body.index())
+        self._fingers = [int(body.index()) for body in fingers]
+        # Of two geometries the contact, and whether the first is the object's; a plant of
+        # somebody's own may have other bodies that fingers touch. By number: a GeometryId of the
+        # plant's would keep the plant.
+        self._pairs: dict[tuple[int, int], tuple[int | None, bool]] = {}
+        for i, body in enumerate(fingers):
+            both = map(plant.GetCollisionGeometriesForBody, (body, scene_plant.object_body))
+            for of_finger, of_object in itertools.product(*both):
+                self._pairs[of_object.get_value(), of_finger.get_value()] = i, True
+                self._pairs[of_finger.get_value(), of_object.get_value()] = i, False
         step = plant.time_step() if plant.has_sampled_output_ports() else 0.0
         self._gauges = PerThread(lambda: ContactGauges(scene, step), {})
         inputs = declare_plant_inputs(
@@ -151,10 +166,35 @@ class ContactMonitor(LeafSystem):
 
     def _CalcMeasured(self, context: Context) -> Array:
         X_W, V_W = self._poses.Eval(context), self._velocities.Eval(context)
-        gauges, bodies = self._gauges.own, self._bodies
-        gauges.look(X_W, V_W, bodies.object, bodies.fingers)
-        bodies.touch(gauges, self._results.Eval(context))
+        gauges = self._gauges.own
+        gauges.look(X_W, V_W, self._object, self._fingers)
+        self._Touch(gauges, self._results.Eval(context))
         return gauges.measure()
+
+    def _Pair(self, first: GeometryId, second: GeometryId) -> tuple[int | None, bool]:
+        return self._pairs.get((first.get_value(), second.get_value()), (None, False))
+
+    def _Touch(self, gauges: ContactGauges, results: ContactResults) -> None:
+        """Tell the gauges of all patches and points between fingers and object."""
+        for k in range(results.num_hydroelastic_contacts()):
+            info = results.hydroelastic_contact_info(k)
+            patch = info.contact_surface()
+            i, first = self._Pair(patch.id_M(), patch.id_N())
+            if i is not None:
+                share = _share_of_M(patch) if first else 1.0 - _share_of_M(patch)
+                F_Ac_W = info.F_Ac_W().get_coeffs()  # body A has geometry M
+                force = -F_Ac_W if first else F_Ac_W
+                gauges.touch(i, share, share, patch.centroid(), force[3:], force[:3])
+        for k in range(results.num_point_pair_contacts()):
+            info = results.point_pair_contact_info(k)
+            pair, p_WC, force = info.point_pair(), info.contact_point(), info.contact_force()
+            i, first = self._Pair(pair.id_A, pair.id_B)
+            if i is not None:
+                # It acts midway in depth where both are equally stiff, else nearer to the stiffer's
+                # surface; a depth may be 0, or rounding alone.
+                off = math.dist(pair.p_WCa if first else pair.p_WCb, p_WC)
+                share = AT_FINGER if self._at_finger[i] else min(1.0, off / max(pair.depth, TINY))
+                gauges.touch(i, share, 0.0, p_WC, force if first else -force, 0.0)
 
 
 def _alike(one: Scene, other: Scene, pressed: float) -> bool:
@@ -171,60 +211,6 @@ def _slip(finger: Surface, obj: Surface, state: Array) -> Array:
     u1, v1, *rates_1, u2, v2, du2, dv2, psi = state
     a1, a2 = finger.metric_root(u1, v1) @ rates_1, obj.metric_root(u2, v2) @ (du2, dv2)
     return obj.frame(u2, v2)[:, :2] @ (rolled(psi, a1) - a2)
-
-
-class _Bodies:
-    """The bodies' places in Drake's lists."""
-
-    def __init__(self, scene: Scene, scene_plant: ScenePlant):
-        plant, fingers = scene_plant.plant, scene_plant.finger_bodies
-        flat = isinstance(scene.object, Plane)
-        self.at_finger = [
-            flat and rolling.finger != nominal.finger
-            for rolling, nominal in zip(scene.contacts, scene_plant.scene.contacts)
-        ]
-        self.object = int(scene_plant.object_body.index())
-        self.fingers = [int(body.index()) for body in fingers]
-        # A plant of somebody's own may have other bodies that fingers touch.
-        self.pairs: dict[tuple[int, int], tuple[int, bool]] = {}
-        for i, body in enumerate(fingers):
-            both = map(plant.GetCollisionGeometriesForBody, (body, scene_plant.object_body))
-            for of_finger, of_object in itertools.product(*both):
-                self.pairs[of_object.get_value(), of_finger.get_value()] = i, True
-                self.pairs[of_finger.get_value(), of_object.get_value()] = i, False
-
-    def pair(self, first: GeometryId, second: GeometryId) -> tuple[int | None, bool]:
-        """The contact that two geometries make, and whether the first is the object's."""
-        return self.pairs.get((first.get_value(), second.get_value()), (None, False))
-
-    def touch(self, gauges: ContactGauges, results: ContactResults) -> None:
-        """Tell the gauges of all patches and points between fingers and object."""
-        for k in range(results.num_hydroelastic_contacts()):
-            info = results.hydroelastic_contact_info(k)
-            patch = info.contact_surface()
-            i, first = self.pair(patch.id_M(), patch.id_N())
-            if i is not None:
-                share = _share_of_M(patch) if first else 1.0 - _share_of_M(patch)
-                F_Ac_W = info.F_Ac_W().get_coeffs()  # body A has geometry M
-                force = -F_Ac_W if first else F_Ac_W
-                gauges.touch(i, share, share, patch.centroid(), force[3:], force[:3])
-        for k in range(results.num_point_pair_contacts()):
-            info = results.point_pair_contact_info(k)
-            pair = info.point_pair()
-            i, first = self.pair(pair.id_A, pair.id_B)
-            if i is not None:
-                p_WC, force = info.contact_point(), info.contact_force()
-                share = self.share(i, pair, pair.p_WCa if first else pair.p_WCb, p_WC)
-                gauges.touch(i, share, 0.0, p_WC, force if first else -force, 0.0)
-
-    def share(self, i: int, pair: PenetrationAsPointPair, p_WO: Array, p_WC: Array) -> float:
-        """Where Drake's point contact acts, between the surfaces; p_WO is on the object's.
-        Midway in depth where both are equally stiff, else nearer to the stiffer's surface.
-        """
-        if self.at_finger[i]:
-            return AT_FINGER
-        # a depth may be 0, or rounding alone
-        return min(1.0, math.dist(p_WO, p_WC) / max(pair.depth, TINY))
 
 
 def _share_of_M(patch: ContactSurface) -> float:
