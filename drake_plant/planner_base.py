@@ -60,7 +60,7 @@ class PlannerBase(_System):
 
     def _Declare(self, system: SceneSystem, x0: Array | None, period: float | None) -> None:
         """States, ports and events; period: of restarts, s."""
-        self.system, self._fed_through = system, {"derivatives"}
+        self.system, self._period, self._fed_through = system, period, {"derivatives"}
         n = len(system.scene.contacts)
         if x0 is not None:
             self.DeclareContinuousState(_vector(x0, self.T))

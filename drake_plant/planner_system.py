@@ -374,8 +374,7 @@ def _scalar_planner(T: type) -> type:
         def __init__(self, other: PlannerBase):
             Base.__init__(self, converter=_converter())
             self.T, self._options, system = T, other._options, other.system
-            restarts = (self._options[f"restart_{name}"] for name in ("period", "distance"))
-            self._Declare(system, system.x0, _restart_period(system.scene, *restarts))
+            self._Declare(system, system.x0, other._period)
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             derivatives.SetFromVector(self._Numbers(context, "derivatives"))
