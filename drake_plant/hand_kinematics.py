@@ -267,7 +267,9 @@ class Chains:
         for k in range(STARTS):  # SNOPT may end on the way
             guess = self.middle + (k > 0) * self.unit * random.uniform(-1, 1, len(q))
             found = SnoptSolver().Solve(program, guess).GetSolution(q)
-            left = self._missed(found, centres)
+            self.put(found)
+            tips = np.array([self.pose(i).translation() for i in range(len(centres))])
+            left = np.linalg.norm(tips - centres, axis=1)
             if left.max() < 10 * REACHED:
                 return found
             tries.append((found, left))
@@ -280,12 +282,6 @@ class Chains:
             f"away, at {tip} m, with {self._limits(self.joints[i], found)}; put the hand elsewhere,"
             " or tips in the order of the contacts"
         )
-
-    def _missed(self, q: Array, centres: Array) -> Array:
-        """How far tips are from where they should be, (n,), m."""
-        self.put(q)
-        tips = np.array([self.pose(i).translation() for i in range(len(self.tips))])
-        return np.linalg.norm(tips - centres, axis=1)
 
     def placed(self, t: float, q: Array, poses: list[RigidTransform]) -> Array:
         """Positions (nq,), near those given, at which tips have poses in the world at a time."""
