@@ -25,7 +25,7 @@ from contact_system.writing import writing
 
 from .balance import friction_used
 from .config import StationConfig, checked, require_config
-from .contact_gauge import COLUMNS
+from .contact_monitor import COLUMNS
 from .hand_kinematics import moving_joints
 from .plant import ScenePlant
 from .recording import Recording
