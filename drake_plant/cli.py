@@ -59,7 +59,8 @@ def run(args: argparse.Namespace) -> int:
 
         result = simulate(scene, config, duration, progress=advance, recording=recording)
         opened = None
-        if config.pushes and config.closed_loop:  # which is judged by what it spares
+        # a closed loop is judged by what it spares; of a hand no such table is told
+        if config.pushes and config.closed_loop and config.hand is None:
             opened = simulate(scene, config.opened(), duration, progress=advance)
     print("\n".join(_told(result, opened)))
     with Progress(3, "writing") as progress:

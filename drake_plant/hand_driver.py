@@ -127,7 +127,7 @@ class HandDriver(LeafSystem):
             given["slip"][:] = self._sliding.Eval(context).reshape(-1, 3) @ R_WO.T
         given["contact_force"][:], given["normal"][:] = self._pressing(inside)
         given["arm"][:] = self._radii * given["normal"]
-        place = self.plan.path.GetPose(inside).translation()
+        place = self.plan.wanted(time).translation()
         chains.put(q_d, v_d)
         for i, motion in enumerate(chains.motions(a_d)):
             given["X_WT"][i], given["V_WT"][i], given["A_WT"][i] = motion
@@ -160,7 +160,7 @@ class HandDriver(LeafSystem):
 
     def _Correct(self, context: Context, state: State) -> None:
         X_WO = self._poses.Eval(context)[self._object]
-        off = way_to(self.plan.path.GetPose(context.get_time()), X_WO)
+        off = way_to(self.plan.wanted(context.get_time()), X_WO)
         now = state.get_mutable_discrete_state().get_mutable_value()
         now += CORRECTION * self._step * off
 

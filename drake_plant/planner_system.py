@@ -175,7 +175,7 @@ class ContactPlanner(_Convertible, LeafSystem):
     ------
     SceneError
         No scene, or one that cannot be written in these coordinates; a restart_period that is
-        too short, a restart_distance < 0, a flag that is neither True nor False; in a simulation:
+        not above 0, a restart_distance < 0, a flag that is neither True nor False; in a simulation:
         sigma < 0, a derivative or output that is not finite, steps that are too long for the
         integrator.
     ChartSingularity

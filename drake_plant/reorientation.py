@@ -122,6 +122,10 @@ class Reorientation:
     joints: list[str]
     chains: Chains
 
+    def wanted(self, time: float) -> RigidTransform:
+        """X_WO as planned: before and after its path the object rests."""
+        return self.path.GetPose(min(max(time, self.t[0]), self.t[-1]))
+
 
 def goal_of(config: StationConfig) -> RigidTransform:
     """X_WO to which the `turn` and `move` of a scene's table lead."""

@@ -234,7 +234,7 @@ def simulate_hand(
     }
     t, said, measured = run.follow(duration, LOGGED, progress, asked)
     seen = t, _hand_planned(plan, t), measured, said["pose"], *run.times
-    wanted = np.array([plan.path.GetPose(x).GetAsMatrix4() for x in t])
+    wanted = np.array([plan.wanted(x).GetAsMatrix4() for x in t])
     return run.filmed(
         HandResult(plan.rolling, plan.config, *seen, plan, wanted, said["q"], said["torque"])
     )

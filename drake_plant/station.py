@@ -167,7 +167,7 @@ def BuildHandStation(
     builder.Connect(
         driver.GetOutputPort("generalized_force"), plant.get_applied_generalized_force_input_port()
     )
-    plant.SetDefaultFloatingBaseBodyPose(parts.object_body, plan.path.GetPose(0.0))
+    plant.SetDefaultFloatingBaseBodyPose(parts.object_body, plan.wanted(0.0))
     for joint, position in zip(moving_joints(plant), plan.q[0]):
         joint.set_default_positions([position])
     if extend is not None:

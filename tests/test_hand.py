@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -131,6 +132,27 @@ def test_a_path_of_drake_is_followed(joints):
     assert plan_reorientation(Hand(joints=joints), H2, path=path).slip.max() < 1e-8
     with pytest.raises(cs.SceneError, match="lasts from 0 to 4 s, the scene from 0 to duration"):
         plan_reorientation(Hand(), H2.replace(duration=3.0), path=path)
+
+
+def test_an_object_rests_where_a_path_of_ones_own_ends():
+    path = PiecewisePose.MakeLinear(
+        [0.0, 1.0], [RigidTransform(), RigidTransform(RotationMatrix.MakeZRotation(0.2))]
+    )
+    names = {name: getattr(path, name) for name in ("GetPose", "GetVelocity", "GetAcceleration")}
+    own = SimpleNamespace(start_time=lambda: 0.1, end_time=lambda: 0.2, **names)
+    scene = H2.replace(drake={**H2.drake, "contact_model": "point"})
+    plan = plan_reorientation(Hand(), scene, path=own)
+    poses = simulate_hand(plan, 0.8).object_pose
+    np.testing.assert_allclose(poses[[0, -1]], plan.object_pose[[0, -1]], atol=1e-4)
+
+
+def test_slip_of_a_pushed_finger_is_fed_back():
+    push = {"on": "finger 1", "start": 0.1, "stop": 0.15, "force": [0, 0, 5]}
+    changes = {"contact_model": "point", "friction": 0.4, "pushes": [push]}
+    open_loop, closed = (
+        hand_report(simulate_hand(made(**changes, slip_gain=gain), 0.2)) for gain in (0.0, 800.0)
+    )
+    assert closed.slipped[0] < 0.7 * open_loop.slipped[0] and open_loop.slipped[0] > 1e-3
 
 
 @pytest.mark.parametrize("model", ["point", "hydroelastic"])
