@@ -17,7 +17,7 @@ from contact_system.measures import REJECTED, windows
 
 from .config import require_config
 from .contact_monitor import SATURATED
-from .simulation import CONTINUOUS, HandResult, SimulationResult, simulate
+from .simulation import CONTINUOUS, NEAR, HandResult, SimulationResult, simulate
 
 if TYPE_CHECKING:
     from .config import Push
@@ -457,7 +457,9 @@ def _rejection(
         nothing = ("disturbed_slip", "saturated", "recovery", "followed", "reported")
         return dict.fromkeys(nothing, math.nan) | {"slid": False, "pushed": pushed}
     start, stop = over[-1]
-    first, last = np.maximum(np.searchsorted(t, (start, stop)), 1)  # no step ended at the first
+    # the rows of steps that began in it, but for what rounding makes of times; none ended at t[0]
+    later = (1 - NEAR) * result.config.time_step
+    first, last = np.maximum(np.searchsorted(t, (start + later, stop + later)), 1)
     # the row after it tells too what it did, and alone of one between two rows
     during, seen = slice(first, max(last, first + 1)), slice(first, last + 1)
     normal, friction = _forces(result, i)
