@@ -37,6 +37,7 @@ class Setup:
 
     stiffer : how much the object is than a finger, in point contact
     moduli : of object and finger, Pa; None: rigid
+    pads : where a finger has spheres, m along the first axis of E2
     """
 
     def __init__(
@@ -48,7 +49,9 @@ class Setup:
         sampled: bool = True,
         stiffer: float = 1.0,
         moduli: tuple[float | None, float | None] = (None, 1e6),
+        pads: tuple[float, ...] = (0.0,),
     ):
+        self.pads = pads
         self.model, self.step, self.friction = model, step, friction
         self.sampled, self.stiffer, self.moduli = sampled, stiffer, moduli
         self.scene = cs.Scene(
@@ -93,8 +96,9 @@ class Setup:
             AddRigidHydroelasticProperties(0.004, material)
         else:
             AddCompliantHydroelasticProperties(0.004, modulus, material)
-        shape, label = Sphere(radius), f"{name} shape"
-        self.plant.RegisterCollisionGeometry(body, RigidTransform(), shape, label, material)
+        for k, x in enumerate((0.0,) if name == "object" else self.pads):
+            label, at = f"{name} shape {k}", RigidTransform([x, 0.0, 0.0])
+            self.plant.RegisterCollisionGeometry(body, at, Sphere(radius), label, material)
         return body
 
     def run(self, sliding: tuple[float, float] = (0, 0), depth: float | None = None) -> None:
@@ -120,7 +124,8 @@ class Setup:
             V_OF = SpatialVelocity(X_WO.rotation() @ omega, X_WO.rotation() @ velocity)
             V_WF = V_WO.ComposeWithMovingFrameVelocity(X_WO.rotation() @ centre, V_OF)
             self.frames.append(X_WO.rotation().matrix() @ frame)
-            self._set(body, RigidTransform(_any_rotation(rng), X_WO @ centre), V_WF)
+            R_WF = _any_rotation(rng) if self.pads == (0.0,) else RotationMatrix(self.frames[-1])
+            self._set(body, RigidTransform(R_WF, X_WO @ centre), V_WF)
         self._advance()
 
     def height(self, depth: float) -> float:
@@ -241,6 +246,19 @@ def test_without_friction_there_is_no_tangential_force_on_a_patch_however_it_ben
     setup.run()
     friction, normal = setup.read("tangential_force"), setup.read("normal_force")
     assert np.abs(friction / normal).max() < 5e-3
+
+
+@pytest.mark.parametrize("pads", [(0.008, -0.002), (0.009, 0.001, -0.002)])
+def test_forces_of_several_points_are_those_of_their_sum_at_its_place(pads):
+    setup = Setup("point", friction=0.0, pads=pads)
+    setup.run(depth=4e-4)
+    tangential, pushes = setup.read("tangential_force"), setup.pushes()
+    # without friction each passes through the object's middle, and so does the sum
+    assert setup.read("normal_force")[:, 0] == pytest.approx(
+        np.linalg.norm(pushes, axis=1), rel=1e-3
+    )
+    assert (np.abs(pushes[:, 0]) > 5e-3 * pushes[:, 2]).all()  # it is not at the middle
+    assert tangential == pytest.approx(np.zeros((2, 2)), abs=1e-3)
 
 
 def test_state_and_contact_point_are_those_of_the_bodies_poses_now(setup):
