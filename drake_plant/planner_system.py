@@ -260,7 +260,8 @@ class ContactPlanner(_Convertible, LeafSystem):
             raise SceneError(
                 f"{system.scene.title}: the simulation begins at t = {t:g} s, where sigma is "
                 f"{now.max():g} m/s, with the state of t = 0 s, where it is {first.max():g}: set "
-                'that of its start by SceneSystem.from_states, or give coordinates="frame"'
+                "the time to 0, which SetDefaultContext leaves alone, or the state of its start by "
+                'SceneSystem.from_states, or give coordinates="frame"'
             )
         own.began = own.look = t
         starts = (t, *own.x, *own.held) == (0.0, *system.x0, *system.held0)
