@@ -87,6 +87,11 @@ def balancing_forces(
         shaped_array(given, name, (times, 3))
         for name, given in (("force", force), ("torque", torque))
     )
+    for name, given in (("margin", margin), ("friction", friction), ("least", least)):
+        if np.shape(given) not in ((), (count,)):
+            raise SceneError(f"{name} = {given!r}: give a number, or one for each contact")
+        if np.min(given) < 0:
+            raise SceneError(f"{name} = {given!r}: contacts would pull; give 0 or more")
     if not (np.abs(np.linalg.norm(normals, axis=-1) - 1) < UNIT).all():
         raise SceneError("normals: give vectors of length 1")
     wanted = np.hstack([force, torque])
@@ -102,9 +107,6 @@ def balancing_forces(
     problem = arms / length, normals, wanted / size, cones, floor / size
     if not all(np.isfinite(x).all() for x in problem):  # Drake would end the process
         raise SceneError("contact forces: give finite numbers")
-    for name, given in (("margin", margin), ("friction", friction), ("least", least)):
-        if np.min(given) < 0:
-            raise SceneError(f"{name} = {given!r}: contacts would pull; give 0 or more")
     forces, left = _solve(*problem)
     if left is not None and strict:
         most = np.abs(left).max(axis=1)

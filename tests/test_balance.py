@@ -80,6 +80,8 @@ def test_normals_and_wrenches_have_the_sizes_that_are_asked_for():
             balancing_forces(points, length * normals, 0.5, [[0, 0, WEIGHT]], [[0, 0, 0]])
     with pytest.raises(cs.SceneError, match=r"^force has shape \(3,\); give \(1, 3\)"):
         balancing_forces(points, normals, 0.5, [0, 0, WEIGHT], [[0, 0, 0]])
+    with pytest.raises(cs.SceneError, match="give a number, or one for each contact"):
+        balancing_forces(points, normals, [0.5, 0.5], [[0, 0, WEIGHT]], [[0, 0, 0]])
 
 
 def test_needed_wrench_is_that_of_newton_and_euler():
