@@ -183,6 +183,7 @@ SHEETS = cs.Quadric(np.diag([1.0, -1.0, -1.0]))
         (ELLIPSOID, np.ones((2, 2)), np.zeros((3, 2)), r"shapes \(2,\) and \(3,\)"),
         (3, (1.0, 0.3), (1.0, 0.3), "give a Surface"),
         (SHEETS, (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), "no geodesic of less than"),
+        (SHEETS, (0.5, 0.1), (0.4, 1e90), r"e\+90 m apart, .* nearer points"),
         (BALL, (0.0, 0.0), (1.0, 0.0), "no contact frame at a or b"),
     ],
 )
@@ -202,6 +203,10 @@ def test_refusals_of_what_else_is_asked():
         cs.geodesic(ELLIPSOID, (1, 1), (2, 1)).points("far")
     with pytest.raises(cs.SurfaceError, match="passes a point"):
         cs.geodesic(BALL, (0.3, 0.0), (0.4, math.pi)).points(0.3)
+    with pytest.raises(cs.SurfaceError, match="too long"):
+        cs.geodesic(ELLIPSOID, (1, 1), (2, 1)).points(1e90)
+    with pytest.raises(cs.SurfaceError, match="too long"):
+        cs.geodesic(HILLS, (0, 0), (0.1, 0)).points(1e90)
 
 
 def test_a_search_that_is_too_long_is_refused(monkeypatch):

@@ -6,7 +6,7 @@
 
 enum { FIELDS = 4, MOST_ROWS = 6 + FIELDS, SHOWN = 9 + FIELDS, SAMPLED = 4 };
 static const double LEAST_STEP = 1e-9; /* of the length; what needs less cannot be followed */
-enum { MOST_STEPS = 20000 };
+enum { MOST_STEPS = 100000 };
 
 typedef struct {
   const geodesic_t *how;
@@ -119,11 +119,12 @@ static void give_up(lines_t *g, const double *error, int *lost) {
 static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path, int *lost) {
   double longest = 0.0, error[L];
   for (int i = 0; i < L; i++) longest = fmax(longest, fabs(g->length[i]));
-  const double most = g->how->longest / longest;
+  double most = g->how->longest / longest;
   double tau = 0.0, h = fmin(g->how->first / longest, 1.0);
   int fresh = 1;
   show(g);
   for (int64_t tries = 0; tau < 1.0; tries++) {
+    if (tries == MOST_STEPS) give_up(g, NULL, lost), most = INFINITY, h = fresh = 1;
     h = fmin(h, most);
     const int last = tau + 1.001 * h >= 1.0;
     if (last) h = 1.0 - tau;
@@ -136,8 +137,8 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path, in
     const double ratio = 0.9 * pow(fmax(worst, 1e-30), -1.0 / 8);
     if (!fresh) {
       h *= ratio > 0.2 ? ratio : 0.2;
-      if (h > LEAST_STEP && tries < MOST_STEPS) continue;
-      give_up(g, tries < MOST_STEPS ? error : NULL, lost);
+      if (h > LEAST_STEP) continue;
+      give_up(g, error, lost);
       h = fmin(g->how->first / longest, 1.0), fresh = 1;
       continue;
     }

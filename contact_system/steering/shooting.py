@@ -32,6 +32,7 @@ FLAT, NARROW = 0.02, 0.05
 SPLITS = 28  # most halvings of a strip between two rays
 TOGETHER = 1024  # strips that are sifted at once, about
 FARTHEST = 30.0  # longest geodesics searched, in sizes plus distances of the points
+MOST_SIZES = 1e4  # between points; the time of a search grows with their distance
 
 
 class Follower:
@@ -84,6 +85,13 @@ class Search:
     def __init__(self, pairs: Pairs):
         self.pairs, self.follow, self.surface = pairs, pairs.follow, pairs.surface
         self.spent = 0.0  # strips for each pair of a fan
+        farthest = float(pairs.chord.max(initial=0.0))
+        if farthest > MOST_SIZES * self.surface.size:
+            raise SurfaceError(
+                f"{self.surface!r}: points are {farthest:.3g} m apart, and geodesics are searched "
+                f"over {MOST_SIZES:g} times the size, {self.surface.size:g} m; give nearer points, "
+                "or a surface of a greater size"
+            )
 
     def shortest(self) -> tuple[Array, Array]:
         """Directions and lengths of the shortest geodesic of each pair."""
