@@ -144,10 +144,22 @@ def test_lines_twice_round_a_waist_end_at_their_point():
     for k, line in enumerate(cs.geodesics(waist, (1.0, 0.0, 0.0), b, 4)):
         assert line.length == pytest.approx((math.pi, 3 * math.pi)[k > 1], abs=1e-11)
         assert line.points(line.length) == pytest.approx(np.array(b), abs=1e-11)
-    slim, ends = cs.Quadric(np.diag([1.0, 2.0, -30.0])), ((0.39, -0.53), (-2.62, 0.25))
-    there, back = cs.geodesic(slim, *ends), cs.geodesic(slim, *ends[::-1])
+
+
+@pytest.mark.parametrize(
+    "slim, a, b, parts",
+    [
+        (cs.Quadric(np.diag([1.0, 2.0, -30.0])), (0.39, -0.53), (-2.62, 0.25), 1e4),
+        (cs.Torus(1.0, 0.02), (-1.38, 1.377), (1.88, 1.895), 1e7),
+    ],
+)
+def test_neighbours_of_the_shortest_line_may_part_fast(slim, a, b, parts):
+    there, back = cs.geodesic(slim, a, b), cs.geodesic(slim, b, a)
     assert there.length == pytest.approx(back.length, rel=1e-12)
-    assert there.m12 > 1e4 * slim.size  # by which neighbouring lines part
+    assert there.m12 > parts * slim.size
+    way = (2.48, -2.98)  # another point, over which it is no shorter
+    round_about = cs.geodesic(slim, [a, way], [way, b]).length.sum()
+    assert there.length <= round_about
 
 
 def test_lines_over_the_rim_of_a_disc():

@@ -29,7 +29,7 @@ CHUNK = 16  # pairs whose fans are searched at once
 # A strip is flat across where its chord and its arc differ by less than this part, and it is not
 # wider than this part of the size.
 FLAT, NARROW = 0.02, 0.05
-SPLITS = 28  # most halvings of a strip between two rays
+SPLITS = 40  # most halvings of a strip between two rays
 TOGETHER = 1024  # strips that are sifted at once, about
 FARTHEST = 30.0  # longest geodesics searched, in sizes plus distances of the points
 MOST_SIZES = 1e4  # between points; the time of a search grows with their distance
@@ -191,8 +191,10 @@ class Search:
             done = sharp & (off[active] <= 0.02 * MET * size * grown)
             goes_on = np.isfinite(away) & ~done
             left = away * grown / size
-            tolerance = np.where(left <= 3e-5, SHARP, np.maximum(FINE / grown, SHARP))
-            tolerance = np.where(left <= 0.02, tolerance, np.maximum(ROUGH / grown, SHARP))[goes_on]
+            last = (left <= 3e-5) | (away <= MET * size * grown)  # as near as rounding allows
+            tolerance = np.where(last, SHARP, np.maximum(FINE / grown, SHARP))
+            coarse = np.maximum(ROUGH / grown, SHARP)
+            tolerance = np.where(last | (left <= 0.02), tolerance, coarse)[goes_on]
             active = active[goes_on]
             if not len(active):
                 break
