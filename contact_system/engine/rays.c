@@ -44,6 +44,7 @@ static void leave(rays_t *r, double size) {
     going = 0;
     for (int i = 0; i < L; i++) {
       const double t = r->t[i], value = r->value[i];
+      if (step[i] <= SETTLED * t) continue; /* else it would depend on the other rays */
       if (value < 0.0) low[i] = t;
       if (value >= 0.0) high[i] = t;
       double trial = t - value / r->slope[i];
