@@ -96,6 +96,9 @@ def test_closed_forms():
     assert line.m12 == pytest.approx(0.1 * np.sin(angle), abs=1e-13)
     assert line.M12 == pytest.approx(np.cos(angle), abs=1e-12)
     assert line.M21 == pytest.approx(np.cos(angle), abs=1e-12)
+    ways = cs.geodesics(ball, np.abs(a[0]), np.abs(b[0]), 9)  # at most two turns more
+    known = math.pi * np.array([0, 2, 2, 4, 4]) + angle[0] * np.array([1, -1, 1, -1, 1])
+    assert [w.length for w in ways] == pytest.approx(0.1 * known, abs=1e-12)
     plane = cs.geodesic(cs.Plane(), a, b)
     assert plane.length == pytest.approx(np.hypot(*(b - a).T), rel=1e-15)
     assert plane.direction == pytest.approx(np.arctan2(*(b - a).T[::-1]), rel=1e-15)

@@ -127,7 +127,7 @@ class Search:
                 if not (np.hypot(s[i] - s[kept], turns * j[i]) <= 1e-6 * size).any():
                     kept.append(int(i))
             if len(kept) and longest is None:
-                longest = s[kept[0]] + 4 * math.pi * size
+                longest = (s[kept[0]] + 4 * math.pi * size) * (1 + 1e-12)  # on a sphere met exactly
             if len(kept) >= most or (longest is not None and reach[0] >= longest):
                 return phi[kept], s[kept]
             reach = np.minimum(1.5 * reach, math.inf if longest is None else longest)
