@@ -102,8 +102,8 @@ def geodesic(surface: Surface, a: ArrayLike, b: ArrayLike) -> Geodesic:
     Raises
     ------
     SurfaceError
-        Points not on the surface, no geodesic between them, or a search over ``limits.STRIPS``, as
-        on a body that is flat as a leaf.
+        Points not on the surface or 1e4 sizes apart, no geodesic between them, or a search over
+        ``limits.STRIPS``, as on a body that is flat as a leaf.
     """
     pairs = Pairs(surface, a, b)
     if surface.developable:
