@@ -132,6 +132,14 @@ def test_the_first_of_several_joins_close_points_directly():
         assert cs.geodesics(*ends, 3)[0].length == pytest.approx(cs.geodesic(*ends).length, 1e-9)
 
 
+def test_both_of_two_lines_beside_a_fold_of_the_fan_are_found():
+    cube = cs.ImplicitSurface("x**4 + y**4 + z**4 - 1")
+    ends = (2.68596, 0.23846), (1.4668, 0.76518)
+    there, back = (cs.geodesics(cube, *way, 5) for way in (ends, ends[::-1]))
+    assert [x.length for x in there] == pytest.approx([x.length for x in back], abs=1e-9)
+    assert there[3].m12 * there[4].m12 < 0 < there[4].length - there[3].length < 1e-4
+
+
 def test_a_leg_in_the_direction_of_a_geodesic_ends_where_it_does():
     a, b = (1.0, 0.2), (2.0, 1.0)
     line = cs.geodesic(ELLIPSOID, a, b)

@@ -251,6 +251,10 @@ class Search:
         k, strip, share, ahead = self.closest(near & ~coarse, away, across, r, middle)
         s = limit[strip] / count * np.maximum(k + 1 + ahead * count / limit[strip], 0.25)
         yield pair[strip], phi[strip] + width[strip] * share, s, limit[strip]
+        folds = one[k, 3, strip] * other[k, 3, strip] < 0  # two lines may pass b, one on each side
+        for side in (0.0, 1.0):
+            own = strip[folds]
+            yield pair[own], phi[own] + side * width[own], s[folds], limit[own]
         if coarse.any():
             pair, limit, phi, half = (w[coarse] for w in (pair, limit, phi, 0.5 * width))
             halves = np.tile(pair, 2), np.tile(limit, 2), np.concatenate([phi, phi + half])
