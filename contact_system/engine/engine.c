@@ -5,9 +5,7 @@
 #include <stdlib.h>
 
 #include "vmath.h"
-/* */
 #include "twofold.h"
-
 #include "polynomial.h"
 
 enum { STAGES = 12 };
@@ -21,27 +19,16 @@ typedef struct work work_t;
 static _Noreturn void fail(work_t *w, int code);
 
 #include "interpret.c"
-/* */
 #include "work.h"
-/* */
 #include "motion.c"
-/* */
 #include "schedule.c"
-/* */
 #include "closed_form.c"
-/* */
 #include "branches.c"
-/* */
 #include "singular.c"
-/* */
 #include "segments.c"
-/* */
 #include "output.c"
-/* */
 #include "geodesic.c"
-/* */
 #include "steer.c"
-/* */
 #include "rays.c"
 
 /* ---- what others call ---- */

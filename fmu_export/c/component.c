@@ -4,13 +4,9 @@
 #include <stdarg.h>
 
 #include "model.c"
-/* */
 #include "profile.c"
-/* */
 #include "starts.c"
-/* */
 #include "system.c"
-/* */
 #include "state.c"
 
 static status_t report(component_t *c, status_t status, const char *format, ...) {
@@ -97,11 +93,8 @@ static void take_back(component_t *c) {
   forget(c);
 }
 
-/* */
 #include "plans.c"
-/* */
 #include "events.c"
-/* */
 #include "results.c"
 
 /* ---- what is set ---- */

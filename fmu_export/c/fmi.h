@@ -8,7 +8,6 @@
    TOKEN         what it calls the token
  */
 #include "component.c"
-/* */
 #ifdef SCENE_INSIDE
 #include "scene.c"
 #else
