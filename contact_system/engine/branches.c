@@ -21,11 +21,10 @@ typedef struct {
 static lanes_t principal(const path_t *p, const double *x) {
   const track_t *k = p->track;
   unit_t *u = table_of(p->w, p->side, 1, A_COORDINATES, p->body);
-  int64_t hint = 0;
   if (k->kind == CIRCLE)
     circle_at(k, p->body, x, 6, u->r);
   else
-    panels_at(&k->panels, 0, 6, x, &hint, u->r);
+    panels_at(&k->panels, 0, 6, x, u->r);
   fill_lanes(u->r[6], 0.0), fill_lanes(u->r[7], 0.0);
   return run(u);
 }

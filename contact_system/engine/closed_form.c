@@ -82,11 +82,11 @@ static void lay_line(work_t *w, const body_t *b, const double *state, track_t *k
 
 /* u, v, theta at local times; with `reduced`, whole turns are taken off long paths. */
 static void line_at(const track_t *k, const body_t *b, const double *tau, int reduced,
-                    int64_t *hint, lanes_t state) {
+                    lanes_t state) {
   double length[L], g[1][L];
   horners(k->drive->length, k->drive->n_sigma + 1, tau, length);
   memset(g, 0, sizeof g);
-  if (k->panels.n) panels_at(&k->panels, 0, 1, tau, hint, g);
+  if (k->panels.n) panels_at(&k->panels, 0, 1, tau, g);
   for (int a = 0; a < 2; a++) {
     SIMD for (int i = 0; i < L; i++) state[a][i] = k->begin[a] + k->slope[a] * length[i];
     for (int i = 0; i < L && reduced && k->far; i++) {

@@ -95,8 +95,7 @@ static void follow_finger(work_t *w, const motion_t *m, const double *t, nodes_t
   double x[MAX_STATES][L], (*w1)[L] = x + state_size(k ? k->ambient : 0);
   for (int a = 0; a < 2; a++) fill_lanes(at->pushed[a], 0.0);
   if (k) {
-    int64_t hint = 0;
-    panels_at(&k->panels, 0, k->panels.rows, t, &hint, x);
+    panels_at(&k->panels, 0, k->panels.rows, t, x);
     const body_t *b = &m->contact->body[0];
     copy_rows(at->pushed, to_parallel(w, 0, k->ambient, b, x, k->push), 2);
   }

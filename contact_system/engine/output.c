@@ -16,29 +16,27 @@ static void variable(const track_t *k, const body_t *b, const double *tau, doubl
 
 /* The moving frame, (x, p) or (u, v, theta); or its first rows, three at least */
 static void state_at(const track_t *k, const body_t *b, const double *tau, const double *x,
-                     int rows, int64_t *hint, lanes_t state) {
+                     int rows, lanes_t state) {
   if (k->kind == CIRCLE)
     circle_at(k, b, x, rows, state);
   else if (k->kind == LINE)
-    line_at(k, b, tau, 0, hint, state);
+    line_at(k, b, tau, 0, state);
   else
-    panels_at(&k->panels, 0, rows, x, hint, state);
+    panels_at(&k->panels, 0, rows, x, state);
 }
 
 static void track_state(const body_t *b, const track_t *k, double t, double *state) {
   double tau[L], x[L], turns[L], found[6][L];
-  int64_t hint = k->panels.n ? k->panels.n - 1 : 0;
   fill_lanes(tau, t - k->start);
   variable(k, b, tau, x, turns);
-  state_at(k, b, tau, x, state_size(k->ambient), &hint, found);
+  state_at(k, b, tau, x, state_size(k->ambient), found);
   for (int j = 0; j < state_size(k->ambient); j++) state[j] = found[j][0];
 }
 
 /* W_1 and V where accelerations change them, else as they are: rows of panels, or numbers */
-static void path_velocity(rows_t rows, const double *constant, const double *tau, int64_t *hint,
-                          lanes_t out) {
+static void path_velocity(rows_t rows, const double *constant, const double *tau, lanes_t out) {
   if (rows.panels)
-    panels_at(rows.panels, rows.row, 2, tau, hint, out);
+    panels_at(rows.panels, rows.row, 2, tau, out);
   else
     for (int a = 0; a < 2; a++) fill_lanes(out[a], constant[a]);
 }
@@ -64,8 +62,7 @@ static const double *decay_of(pace_t *p) {
 }
 
 /* Velocity of the contact point in the parallel frame, without rate offsets */
-static void drive_velocity(const contact_t *c, int side, const track_t *k, pace_t *p, int64_t *hint,
-                           lanes_t out) {
+static void drive_velocity(const contact_t *c, int side, const track_t *k, pace_t *p, lanes_t out) {
   double w1[2][L], v[2][L];
   const double *sigma = p->sigma;
   if (!k->forced && !k->slips) {
@@ -80,8 +77,8 @@ static void drive_velocity(const contact_t *c, int side, const track_t *k, pace_
   }
   const double nothing[2] = {0.0, 0.0}, *r = c->r0;
   /* W_1 is a row of the panels, or the track's own w */
-  path_velocity(k->w1_rows, k->w, p->tau, hint, w1);
-  path_velocity(k->v_rows, nothing, p->tau, hint, v);
+  path_velocity(k->w1_rows, k->w, p->tau, w1);
+  path_velocity(k->v_rows, nothing, p->tau, v);
   for (int a = 0; a < 2; a++) {
     const int turns = side && k->w1_rows.panels;
     const double x = turns ? r[2 * a] : a == 0, y = turns ? r[2 * a + 1] : a == 1;
@@ -97,7 +94,6 @@ enum { NEED_VELOCITY = 32 };
 
 typedef struct {
   const track_t *track;
-  int64_t hint;
   pace_t *pace;
   double state[6][L], velocity[2][L], offset[2][L];
   double coordinates[N_COORDINATES][L], frame[9][L], shape[3][L];
@@ -105,7 +101,6 @@ typedef struct {
 
 typedef struct {
   const slip_t *slip;
-  int64_t hint;
   pace_t *pace, paces[3]; /* of slip; all of a block */
   int n_paces;
   double v[2][L], w1[2][L], sliding[2][L];
@@ -153,14 +148,14 @@ static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, int n, 
   double x[L], turns[L], far[6][L];
   if (!(needs || k->offsets)) return;
   variable(k, b, tau, x, turns);
-  state_at(k, b, tau, x, needs == NEED_POINT && !k->offsets ? 3 : state_size(k->ambient),
-           &a->hint, a->state);
+  const int rows = needs == NEED_POINT && !k->offsets ? 3 : state_size(k->ambient);
+  state_at(k, b, tau, x, rows, a->state);
   if (needs & (NEED_COORDINATES | NEED_VELOCITY))
-    drive_velocity(c, s, k, a->pace, &a->hint, a->velocity);
+    drive_velocity(c, s, k, a->pace, a->velocity);
   if (needs & NEED_COORDINATES) find_coordinates(w, c, s, a, x, turns, n);
   lanes_t state = a->state;
   if (k->kind == LINE && k->far && needs & (NEED_POINT | NEED_FRAME)) {
-    line_at(k, b, tau, 1, &a->hint, far);
+    line_at(k, b, tau, 1, far);
     state = far;
   }
   if (k->ambient) copy_rows(a->frame, state, needs & NEED_FRAME ? 6 : 3);
@@ -181,8 +176,8 @@ static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, int n, 
 static void sample_slip(sample_t *m) {
   const slip_t *s = m->slip;
   const double *tau = m->pace->tau, *sigma = m->pace->sigma;
-  path_velocity(s->w1_rows, s->w1, tau, &m->hint, m->w1);
-  path_velocity(s->v_rows, s->v, tau, &m->hint, m->v);
+  path_velocity(s->w1_rows, s->w1, tau, m->w1);
+  path_velocity(s->v_rows, s->v, tau, m->v);
   if (s->slips && !s->forced) {
     const double *decay = decay_of(m->pace);
     for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) m->v[a][i] *= decay[i];
@@ -395,7 +390,6 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
   if (out[TWIST]) needs |= NEED_SHAPE | NEED_VELOCITY;
   if (out[FRAMES]) needs |= NEED_FRAME | NEED_SHAPE;
   sample_t m;
-  m.hint = 0, m.side[0].track = m.side[1].track = NULL;
   int64_t which[2] = {0, 0}, record = 0;
   for (int64_t i = 0; i < n;) {
     double t[L], until = HUGE_VAL, from = -HUGE_VAL;
@@ -406,7 +400,6 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
     for (int s = 0; s < 2; s++) {
       WHICH(c->tracks[s], c->n_tracks[s], times[i], which[s]);
       const track_t *k = c->tracks[s] + which[s];
-      if (k != m.side[s].track) m.side[s].hint = 0;
       m.side[s].track = k;
       if (which[s]) from = fmax(from, k->start);
       if (which[s] + 1 < c->n_tracks[s]) until = fmin(until, k[1].start);
@@ -471,14 +464,14 @@ static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t,
 }
 
 static void moment_of(work_t *w, contact_t *c, double t, double *out) {
-  int64_t record = 0, hint = 0;
+  int64_t record = 0;
   double tau[L], w1[2][L], v[2][L];
   memset(out, 0, MOMENT_SIZE * sizeof *out);
   WHICH(c->slips, c->n_slips, t, record);
   const slip_t *s = c->slips + record;
   fill_lanes(tau, t - s->start);
-  path_velocity(s->w1_rows, s->w1, tau, &hint, w1);
-  path_velocity(s->v_rows, s->v, tau, &hint, v);
+  path_velocity(s->w1_rows, s->w1, tau, w1);
+  path_velocity(s->v_rows, s->v, tau, v);
   const double left = s->slips && !s->forced ? decay_at(s->drive, tau[0]) : 1.0;
   out[M_ANGLE] = c->angle;
   for (int a = 0; a < 2; a++) out[M_W1 + a] = w1[a][0], out[M_V + a] = v[a][0] * left;

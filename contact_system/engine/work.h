@@ -253,13 +253,13 @@ static int64_t interval(const double *edges, int64_t n, double x, int64_t guess)
   return low;
 }
 
-/* Rows of a motion at places x, clipped to it; hint: the panel to look at first */
-static void panels_at(const panels_t *p, int64_t row, int64_t rows, const double *x, int64_t *hint,
-                      lanes_t y) {
+/* Rows of a motion at places x, clipped to it */
+static void panels_at(const panels_t *p, int64_t row, int64_t rows, const double *x, lanes_t y) {
   const double end = p->edges[p->n];
+  int64_t k = 0;
   for (int i = 0; i < L;) {
     const double at = x[i] < 0 ? 0 : x[i] > end ? end : x[i];
-    const int64_t k = *hint = interval(p->edges, p->n, at, *hint);
+    k = interval(p->edges, p->n, at, k);
     const double low = p->edges[k], high = p->edges[k + 1];
     /* a panel may be so short that its inverse is infinite */
     const double pace = high - low > 1e-300 ? 2.0 / (high - low) : 0.0;
