@@ -41,28 +41,21 @@ static void path_velocity(rows_t rows, const double *constant, const double *tau
     for (int a = 0; a < 2; a++) fill_lanes(out[a], constant[a]);
 }
 
-/* Local time, sigma and, once it is asked for, what is left of slip on a drive at the times of a
-   block. Bodies and slip mostly share one. */
+/* Local time and sigma on a drive at the times of a block */
 typedef struct {
   const drive_t *drive;
-  int decays;
-  double tau[L], sigma[L], decay[L];
+  double tau[L], sigma[L];
 } pace_t;
 
 static void set_pace(pace_t *p, const drive_t *d, const double *t) {
-  p->drive = d, p->decays = 0;
+  p->drive = d;
   for (int i = 0; i < L; i++) p->tau[i] = t[i] - d->start;
   horners(d->sigma, d->n_sigma, p->tau, p->sigma);
 }
 
-static const double *decay_of(pace_t *p) {
-  if (!p->decays) decays(p->drive, p->tau, p->sigma, p->decay);
-  p->decays = 1;
-  return p->decay;
-}
-
 /* Velocity of the contact point in the parallel frame, without rate offsets */
-static void drive_velocity(const contact_t *c, int side, const track_t *k, pace_t *p, lanes_t out) {
+static void drive_velocity(const contact_t *c, int side, const track_t *k, const pace_t *p,
+                           lanes_t out) {
   double w1[2][L], v[2][L];
   const double *sigma = p->sigma;
   if (!k->forced && !k->slips) {
@@ -70,7 +63,8 @@ static void drive_velocity(const contact_t *c, int side, const track_t *k, pace_
     return;
   }
   if (!k->forced) {
-    const double *decay = decay_of(p);
+    double decay[L];
+    decays(p->drive, p->tau, sigma, decay);
     for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++)
         out[a][i] = sigma[i] * (k->w[a] - k->v[a] * decay[i]);
     return;
@@ -94,15 +88,14 @@ enum { NEED_VELOCITY = 32 };
 
 typedef struct {
   const track_t *track;
-  pace_t *pace;
+  pace_t pace;
   double state[6][L], velocity[2][L], offset[2][L];
   double coordinates[N_COORDINATES][L], frame[9][L], shape[3][L];
 } side_t;
 
 typedef struct {
   const slip_t *slip;
-  pace_t *pace, paces[3]; /* of slip; all of a block */
-  int n_paces;
+  pace_t pace;
   double v[2][L], w1[2][L], sliding[2][L];
   side_t side[2];
 } sample_t;
@@ -144,14 +137,14 @@ static void find_one(work_t *w, const contact_t *c, int s, side_t *a, int table,
 static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, int n, int needs) {
   const track_t *k = a->track;
   const body_t *b = &c->body[s];
-  const double *tau = a->pace->tau;
+  const double *tau = a->pace.tau;
   double x[L], turns[L], far[6][L];
   if (!(needs || k->offsets)) return;
   variable(k, b, tau, x, turns);
   const int rows = needs == NEED_POINT && !k->offsets ? 3 : state_size(k->ambient);
   state_at(k, b, tau, x, rows, a->state);
   if (needs & (NEED_COORDINATES | NEED_VELOCITY))
-    drive_velocity(c, s, k, a->pace, a->velocity);
+    drive_velocity(c, s, k, &a->pace, a->velocity);
   if (needs & NEED_COORDINATES) find_coordinates(w, c, s, a, x, turns, n);
   lanes_t state = a->state;
   if (k->kind == LINE && k->far && needs & (NEED_POINT | NEED_FRAME)) {
@@ -175,11 +168,12 @@ static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, int n, 
 /* V, W_1 and the slip along (p_2, q_2): sigma V, less what a rate offset adds */
 static void sample_slip(sample_t *m) {
   const slip_t *s = m->slip;
-  const double *tau = m->pace->tau, *sigma = m->pace->sigma;
+  const double *tau = m->pace.tau, *sigma = m->pace.sigma;
   path_velocity(s->w1_rows, s->w1, tau, m->w1);
   path_velocity(s->v_rows, s->v, tau, m->v);
   if (s->slips && !s->forced) {
-    const double *decay = decay_of(m->pace);
+    double decay[L];
+    decays(s->drive, tau, sigma, decay);
     for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) m->v[a][i] *= decay[i];
   }
   const side_t *o = &m->side[1];
@@ -209,9 +203,9 @@ static void accelerate(work_t *w, const contact_t *c, sample_t *m, lanes_t out) 
   const slip_t *s = m->slip;
   const int pulls = !all_zero(m->v);
   unit_t *u = pair_table(w, T_ACCELERATION, c->r0);
-  copy_lanes(u->r[0], m->pace->sigma);
+  copy_lanes(u->r[0], m->pace.sigma);
   for (int i = 0; i < L; i++) {
-    const double tau = m->pace->tau[i];
+    const double tau = m->pace.tau[i];
     u->r[1][i] = pulls ? slope_of(s->drive->sigma, s->drive->n_sigma, tau) : 0.0;
     u->r[2][i] = pulls ? gain_at(s->drive, tau) : 0.0;
   }
@@ -372,14 +366,6 @@ static void tell_singular(work_t *w, const contact_t *c, int64_t n, const double
   }
 }
 
-static pace_t *pace_on(sample_t *m, const drive_t *d, const double *t) {
-  for (int k = 0; k < m->n_paces; k++)
-    if (m->paces[k].drive == d) return m->paces + k;
-  pace_t *p = m->paces + m->n_paces++;
-  set_pace(p, d, t);
-  return p;
-}
-
 static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const double *times,
                              double *const *out) {
   const int turned = out[SLIP] || out[ACCELERATION];
@@ -408,8 +394,8 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
     while (count < L && i + count < n && times[i + count] >= from && times[i + count] < until)
       t[count] = times[i + count], count++;
     for (int q = count; q < L; q++) t[q] = t[count - 1];
-    m.n_paces = 0, m.pace = pace_on(&m, m.slip->drive, t);
-    for (int s = 0; s < 2; s++) m.side[s].pace = pace_on(&m, m.side[s].track->drive, t);
+    set_pace(&m.pace, m.slip->drive, t);
+    for (int s = 0; s < 2; s++) set_pace(&m.side[s].pace, m.side[s].track->drive, t);
     const target_t to = {out, n, i, count};
     put_block(w, c, &m, &to, needs, turned);
     i += count;
@@ -422,11 +408,10 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
 /* u v theta at a time; returns not 0 where there are none */
 static int place_on_track(work_t *w, const contact_t *c, int side, const track_t *k, double t,
                           double *place) {
-  pace_t pace;
-  side_t a = {.track = k, .pace = &pace};
+  side_t a = {.track = k};
   double times[L], sum = 0.0;
   fill_lanes(times, t);
-  set_pace(&pace, k->drive, times);
+  set_pace(&a.pace, k->drive, times);
   sample_body(w, c, side, &a, 1, NEED_COORDINATES);
   const int rows[3] = {U, V, THETA};
   for (int j = 0; j < 3; j++) place[j] = a.coordinates[rows[j]][0], sum += 0.0 * place[j];
