@@ -13,8 +13,6 @@ enum { STAGES = 12 };
 #include "generated/gauss.inc"
 #include "generated/operations.inc"
 
-#define SIMD_SUM(sum) _Pragma("omp simd reduction(+ : sum)")
-
 typedef struct work work_t;
 static _Noreturn void fail(work_t *w, int code);
 
