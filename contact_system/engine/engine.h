@@ -51,7 +51,7 @@ extern const table_t contact_tables[];
 
 /* ---- the scene's buffer: doubles, places as offsets from its beginning ---- */
 
-enum { SCENE_VERSION = 5 };
+enum { SCENE_VERSION = 6 };
 
 /* the header */
 enum {
@@ -98,18 +98,9 @@ enum {
   K_Y = K_W1 + 2,          /* the object's path velocity; of a moment, V */
   K_FRAME_1 = K_Y + 2,     /* x p */
   K_FRAME_2 = K_FRAME_1 + 6,
-  CONTACT_SIZE = K_FRAME_2 + 6
-};
-/* what is left of a contact at some time: enough to go on from */
-enum {
-  M_ANGLE,
-  M_W1,
-  M_V = 3,
-  M_PLACE_1 = 5,
-  M_PLACE_2 = 8,
-  M_FRAME_1 = 11,
-  M_FRAME_2 = 17,
-  MOMENT_SIZE = 23
+  CONTACT_SIZE = K_FRAME_2 + 6,
+  /* what is left of a contact at some time, enough to go on from: its row from K_PLACE_1 on */
+  MOMENT_SIZE = CONTACT_SIZE - K_PLACE_1
 };
 
 /* ---- what can be asked for ---- */
@@ -246,6 +237,6 @@ typedef struct {
 EXPORT const engine_t *contact_engine(void);
 EXPORT const surface_t *contact_surface(int index); /* of this package, NULL past the last */
 EXPORT const table_t *contact_table(int index);
-EXPORT extern const int32_t contact_layout[7]; /* what the binding checks: see dispatch.c */
+EXPORT extern const int32_t contact_layout[6]; /* what the binding checks: see dispatch.c */
 
 #endif

@@ -445,23 +445,22 @@ static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t,
 
 static void moment_of(work_t *w, contact_t *c, double t, double *out) {
   int64_t record = 0;
-  double tau[L], w1[2][L], v[2][L];
-  memset(out, 0, MOMENT_SIZE * sizeof *out);
+  double tau[L], w1[2][L], v[2][L], row[CONTACT_SIZE] = {0};
   WHICH(c->slips, c->n_slips, t, record);
   const slip_t *s = c->slips + record;
   fill_lanes(tau, t - s->start);
   path_velocity(s->w1_rows, s->w1, tau, w1);
   path_velocity(s->v_rows, s->v, tau, v);
   const double left = s->slips && !s->forced ? decay_at(s->drive, tau[0]) : 1.0;
-  out[M_ANGLE] = c->angle;
-  for (int a = 0; a < 2; a++) out[M_W1 + a] = w1[a][0], out[M_V + a] = v[a][0] * left;
+  row[K_ANGLE] = c->angle;
+  for (int a = 0; a < 2; a++) row[K_W1 + a] = w1[a][0], row[K_Y + a] = v[a][0] * left;
   for (int side = 0; side < 2; side++) {
     const body_t *b = &c->body[side];
     int64_t which = 0;
     WHICH(c->tracks[side], c->n_tracks[side], t, which);
     const track_t *k = c->tracks[side] + which;
-    double *frame = out + (side ? M_FRAME_2 : M_FRAME_1);
-    place_at(w, c, side, which, t, out + (side ? M_PLACE_2 : M_PLACE_1));
+    double *frame = row + (side ? K_FRAME_2 : K_FRAME_1);
+    place_at(w, c, side, which, t, row + (side ? K_PLACE_2 : K_PLACE_1));
     if (!moves_in_space(b->surface)) continue;
     double state[6];
     track_state(b, k, t, state);
@@ -471,4 +470,5 @@ static void moment_of(work_t *w, contact_t *c, double t, double *out) {
       to_space(w, b, state, frame);
     restore_body(w, side, b, frame);
   }
+  memcpy(out, row + K_PLACE_1, MOMENT_SIZE * sizeof *out);
 }

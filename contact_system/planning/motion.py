@@ -24,9 +24,10 @@ from ..theory.gain import LAWS
 from .explanation import OUTSIDE, SINGULAR_TIME, failed, lines
 from .starts import Moment, Starts
 
-VERSION = 5
-HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT = 15, 5, 5, 5, 35, 23  # numbers in each
-if LAYOUT != (VERSION, HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT):
+VERSION = 6
+HEADER, BODY, WINDOW, LEG, CONTACT = 15, 5, 5, 5, 35  # numbers in each
+MOMENT = 23  # the last ones of a contact
+if LAYOUT != (VERSION, HEADER, BODY, WINDOW, LEG, CONTACT):
     raise ImportError(
         f"the engine of contact_system has another layout of scenes, {LAYOUT}, than this Python; "
         "install the package again, or in a checkout: pip install -e ."
@@ -263,8 +264,8 @@ class Motion:
             tuple(row[first : first + 6]) if surface.tables.ambient[0] is not None else ()
             for surface, first in zip(bodies, (11, 17))
         ]
-        places = tuple(row[5:8]), tuple(row[8:11])
-        return Moment(row[0], tuple(row[1:3]), tuple(row[3:5]), *places, *frames)
+        places = tuple(row[:3]), tuple(row[3:6])
+        return Moment(row[6], tuple(row[7:9]), tuple(row[9:11]), *places, *frames)
 
     def lines(self) -> list[str]:
         """How each contact and interval was planned, why, and what was skipped."""

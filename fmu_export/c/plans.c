@@ -53,7 +53,7 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   put_body(c, contact_of(m, i) + P_FINGER, &next, row + K_FINGER);
   row[K_MOMENT] = s->row[K_MOMENT], row[K_FRAMES] = s->row[K_FRAMES];
   row[K_WINDOWS] = (double)(next - b);
-  memcpy(row + K_PLACE_1, s->row + K_PLACE_1, (CONTACT_SIZE - K_PLACE_1) * sizeof *row);
+  memcpy(row + K_PLACE_1, s->row + K_PLACE_1, MOMENT_SIZE * sizeof *row);
   double *const first = next;
   for (long k = 0; k < m->n_windows; k++) {
     const double *w = window_of(c, k), *v = window_values(c, k);
@@ -103,10 +103,7 @@ static int go_on(component_t *c, long i, plan_t *plan, double t, segment_t *s) {
   to[K_MOMENT] = 1.0, to[K_FRAMES] = 0.0;
   for (int side = 0; side < 2; side++)
     if (surface_of(c->model, i, side)->ambient[A_MOTION]) to[K_FRAMES] += 1 << side;
-  memcpy(to + K_PLACE_1, m + M_PLACE_1, 6 * sizeof *m);
-  to[K_ANGLE] = m[M_ANGLE];
-  memcpy(to + K_W1, m + M_W1, 4 * sizeof *m);
-  memcpy(to + K_FRAME_1, m + M_FRAME_1, 12 * sizeof *m);
+  memcpy(to + K_PLACE_1, m, sizeof m);
   return 0;
 }
 
