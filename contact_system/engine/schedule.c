@@ -25,9 +25,7 @@ static int64_t exponent_of(work_t *w, const twofold_t *sigma, int64_t n, double 
                            int64_t power, const double **out) {
   const int64_t size = power * (n - 1) + 1;
   double *found = keep(w, (size_t)size + 1);
-  twofold_t *rate = malloc(2 * (size_t)size * sizeof *rate);
-  if (!rate) fail(w, NO_MEMORY);
-  twofold_t *next = rate + size;
+  twofold_t *rate = keep_items(w, 2 * size, sizeof *rate), *next = rate + size;
   rate[0] = twofold(value);
   int64_t terms = 1;
   for (int64_t p = 0; p < power; p++, terms += n - 1) {
@@ -38,7 +36,6 @@ static int64_t exponent_of(work_t *w, const twofold_t *sigma, int64_t n, double 
   }
   found[0] = 0.0;
   for (int64_t k = 0; k < size; k++) found[k + 1] = (rate[k].high + rate[k].low) / (double)(k + 1);
-  free(rate);
   *out = found;
   return size + 1;
 }
