@@ -81,21 +81,16 @@ def model_description(
     exchange = "ModelExchange" in interfaces
     variables.extend(_variable(v, fmi_version, exchange) for v in listed(table, fmi_version))
     root.append(_structure(table, fmi_version))
-    token = "guid" if fmi_version == "2.0" else "instantiationToken"
-    root.set(token, _TOKEN)
     if fmi_version == "2.0" and sources:
         for interface in interfaces:
             element = root.find(interface)
             assert element is not None  # _interface has made it
             files = ET.SubElement(element, "SourceFiles")
             files.extend(ET.Element("File", name=name) for name in sources)
-    root.set("generationDateAndTime", _DATE)
-    text = xml_text(root)
-    named = text.replace(_TOKEN, _digest(text, table.scene), 1)
-    return named.replace(_DATE, time.strftime("%Y-%m-%dT%H:%M:%SZ", generation_time()), 1)
-
-
-_TOKEN, _DATE = "{the token}", "{the date}"  # before the text is known; the head comes first
+    token = "guid" if fmi_version == "2.0" else "instantiationToken"
+    root.set(token, _digest(xml_text(root), table.scene))
+    root.set("generationDateAndTime", time.strftime("%Y-%m-%dT%H:%M:%SZ", generation_time()))
+    return xml_text(root)
 
 
 def check_choice(fmi_version: str, interfaces: Iterable[str]) -> tuple[str, ...]:
