@@ -138,7 +138,7 @@ static int64_t facts(const plan_t *plan, int64_t contact, int64_t room, fact_t *
                           .forced = k->forced,
                           .panels = k->panels.n,
                           .reason = k->reason,
-                          .slips = k->slips};
+                          .slips = any(k->v)};
     }
   return n;
 }

@@ -58,7 +58,7 @@ static void drive_velocity(const contact_t *c, int side, const track_t *k, const
                            lanes_t out) {
   double w1[2][L], v[2][L];
   const double *sigma = p->sigma;
-  if (!k->forced && !k->slips) {
+  if (!k->forced && !any(k->v)) {
     for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) out[a][i] = sigma[i] * k->w[a];
     return;
   }
@@ -122,7 +122,7 @@ static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, co
       z[V][i] = lost * rate > v[0][i] * v[0][i] + v[1][i] * v[1][i] ? NAN : z[V][i];
     }
   }
-  for (int j = 0; j < 2 && k->offsets; j++)
+  for (int j = 0; j < 2 && any(k->offset); j++)
     for (int i = 0; i < L; i++) a->coordinates[DU + j][i] += k->offset[j];
 }
 
@@ -139,9 +139,9 @@ static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, int n, 
   const body_t *b = &c->body[s];
   const double *tau = a->pace.tau;
   double x[L], turns[L], far[6][L];
-  if (!(needs || k->offsets)) return;
+  if (!(needs || any(k->offset))) return;
   variable(k, b, tau, x, turns);
-  const int rows = needs == NEED_POINT && !k->offsets ? 3 : state_size(k->ambient);
+  const int rows = needs == NEED_POINT && !any(k->offset) ? 3 : state_size(k->ambient);
   state_at(k, b, tau, x, rows, a->state);
   if (needs & (NEED_COORDINATES | NEED_VELOCITY))
     drive_velocity(c, s, k, &a->pace, a->velocity);
@@ -158,7 +158,7 @@ static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, int n, 
   else if (needs & NEED_POINT && !k->ambient)
     find_one(w, c, s, a, C_POINT, state, a->frame, 3);
   if (needs & NEED_SHAPE) find_one(w, c, s, a, k->ambient ? A_SHAPE : C_SHAPE, state, a->shape, 3);
-  if (k->offsets) {
+  if (any(k->offset)) {
     copy_rows(a->offset, to_parallel(w, s, k->ambient, b, a->state, k->offset), 2);
     for (int j = 0; j < 2 && needs & NEED_VELOCITY; j++)
       for (int i = 0; i < L; i++) a->velocity[j][i] += a->offset[j][i];
@@ -171,7 +171,7 @@ static void sample_slip(sample_t *m) {
   const double *tau = m->pace.tau, *sigma = m->pace.sigma;
   path_velocity(s->w1_rows, s->w1, tau, m->w1);
   path_velocity(s->v_rows, s->v, tau, m->v);
-  if (s->slips && !s->forced) {
+  if (any(s->v) && !s->forced) {
     double decay[L];
     decays(s->drive, tau, sigma, decay);
     for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) m->v[a][i] *= decay[i];
@@ -179,7 +179,8 @@ static void sample_slip(sample_t *m) {
   const side_t *o = &m->side[1];
   for (int a = 0; a < 2; a++) {
     SIMD for (int i = 0; i < L; i++) m->sliding[a][i] = sigma[i] * m->v[a][i];
-    for (int i = 0; i < L && o->track->offsets; i++) m->sliding[a][i] -= o->offset[a][i];
+    if (any(o->track->offset))
+      for (int i = 0; i < L; i++) m->sliding[a][i] -= o->offset[a][i];
   }
 }
 
@@ -211,7 +212,7 @@ static void accelerate(work_t *w, const contact_t *c, sample_t *m, lanes_t out) 
   }
   copy_rows(u->r + 3, m->v, 2);
   for (int r = 5; r < 9; r++) fill_lanes(u->r[r], 0.0);
-  for (int k = 0; k < 2 && s->accelerated; k++) {
+  for (int k = 0; k < 2; k++) {
     const double *d = s->accelerations + 2 * k;
     const side_t *a = &m->side[k];
     if (!any(d)) continue;
@@ -303,11 +304,11 @@ static void put_twist(work_t *w, const target_t *to, const contact_t *c, const s
 static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t *to, int needs,
                       int turned) {
   double *const *out = to->out;
-  const int accelerated = out[ACCELERATION] && m->slip->accelerated;
+  const int accelerated = out[ACCELERATION] && m->slip->forced;
   for (int s = 0; s < 2; s++) {
     /* where there is slip, turning it into the contact frame takes the object's theta */
-    const int has_theta = turned && (m->slip->slips || m->side[1].track->offsets || accelerated);
-    const int more = s && has_theta ? NEED_COORDINATES : accelerated ? NEED_STATE : 0;
+    const int slides = m->slip->forced || any(m->slip->v) || any(m->side[1].track->offset);
+    const int more = s && turned && slides ? NEED_COORDINATES : accelerated ? NEED_STATE : 0;
     sample_body(w, c, s, &m->side[s], to->count, needs | more);
   }
   if (out[POINTS])
@@ -451,7 +452,7 @@ static void moment_of(work_t *w, contact_t *c, double t, double *out) {
   fill_lanes(tau, t - s->start);
   path_velocity(s->w1_rows, s->w1, tau, w1);
   path_velocity(s->v_rows, s->v, tau, v);
-  const double left = s->slips && !s->forced ? decay_at(s->drive, tau[0]) : 1.0;
+  const double left = any(s->v) && !s->forced ? decay_at(s->drive, tau[0]) : 1.0;
   row[K_ANGLE] = c->angle;
   for (int a = 0; a < 2; a++) row[K_W1 + a] = w1[a][0], row[K_Y + a] = v[a][0] * left;
   for (int side = 0; side < 2; side++) {

@@ -112,7 +112,6 @@ static track_t *add_motion(course_t *c, motion_t *m, double stop, int reason) {
   k->ambient = m->ambient, k->by_length = m->by_length, k->forced = m->forced;
   memcpy(k->v, m->v, sizeof k->v), memcpy(k->push, m->push, sizeof k->push);
   memcpy(k->offset, m->offset, sizeof k->offset);
-  k->slips = any(k->v), k->offsets = any(k->offset);
   require_regular(c->w, m->side, m->body, k);
   return k;
 }
@@ -151,7 +150,6 @@ static track_t *geodesic(course_t *c, int side, const drive_t *drive, double sto
 static void slipping_geodesic(course_t *c, const drive_t *d, const double *v, int reason) {
   track_t *k = geodesic(c, 1, d, d->stop, reason);
   memcpy(k->v, v, sizeof k->v);
-  k->slips = any(v);
 }
 
 static slip_t *add_slip(course_t *c, const drive_t *d) {
@@ -159,7 +157,6 @@ static slip_t *add_slip(course_t *c, const drive_t *d) {
   memset(s, 0, sizeof *s);
   s->start = d->start, s->drive = d;
   memcpy(s->w1, c->w1, sizeof s->w1), memcpy(s->v, c->v, sizeof s->v);
-  s->slips = any(c->v);
   return s;
 }
 
@@ -191,7 +188,6 @@ static void line(course_t *c, const drive_t *d, const double *offset, int matter
   const double *state = state_of(c, 1);
   track_t *k = add_track(c, 1, d, d->stop, reason_of(c, offset));
   memcpy(k->v, c->v, sizeof k->v), memcpy(k->offset, offset, sizeof k->offset);
-  k->slips = any(c->v), k->offsets = any(offset);
   if (matters)
     k->panels = slip_length(c, d); /* else what is left of slip shows in the rates alone */
   lay_line(c->w, &c->c->body[1], state, k);
@@ -267,7 +263,7 @@ static void forced(course_t *c, const segment_t *segment) {
   const double *act = segment->acting;
   const track_t *finger = NULL;
   slip_t *s = add_slip(c, d);
-  s->slips = s->forced = s->accelerated = 1;
+  s->forced = 1;
   memcpy(s->accelerations, act, sizeof s->accelerations);
   if (any(act)) {
     motion_t m = forced_motion(c, 0, segment, c->w1, 1.0);

@@ -46,7 +46,6 @@ typedef struct {
   int ambient;
   const drive_t *drive;
   double w[2], v[2], push[2], offset[2];
-  int slips, offsets;
   panels_t panels; /* of the state, and of W_1 or V after it */
   rows_t w1_rows, v_rows;
   /* great circles: x0, unit velocity along, and the frame against it */
@@ -66,7 +65,7 @@ typedef struct {
   double start;
   const drive_t *drive;
   double v[2], w1[2], accelerations[4];
-  int slips, forced, accelerated; /* forced: V is in panels */
+  int forced; /* it is accelerated, and V is in panels */
   rows_t w1_rows, v_rows;
 } slip_t;
 
