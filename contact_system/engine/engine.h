@@ -216,7 +216,7 @@ typedef struct {
   int (*look)(plan_t *plan, double t, double *const *out, failure_t *failure);
   /* paths of n legs to a goal: see steer.c */
   int64_t (*steer)(const steer_t *aim, int64_t n, int64_t count, double (*z)[L], double *off,
-                   double (*ends)[L], double *squares);
+                   double *squares);
   /* of a polynomial: see polynomial.h */
   int64_t (*sign_changes)(const double *c, int64_t n, int64_t order, double a, double b,
                           double *found);

@@ -327,7 +327,7 @@ static void copy_lane(equations_t *to, const equations_t *from, int n, int l) {
   }
 }
 
-static void search(search_t *w, int64_t count, double (*z)[L], double (*ends)[L]) {
+static void search(search_t *w, int64_t count, double (*z)[L]) {
   const steer_t *aim = w->aim;
   const int n = w->unknowns;
   double damping[L], mark[L];
@@ -345,7 +345,6 @@ static void search(search_t *w, int64_t count, double (*z)[L], double (*ends)[L]
         copy_lane(&w->best, &w->now, n, l);
         damping[l] = fmax(0.3 * damping[l], 1e-11);
         for (int i = 0; i < n; i++) z[i][l] = w->tried[i][l];
-        for (int i = 0; i < 18; i++) ends[i][l] = w->rolled[i / 9].at[i % 9][l];
       } else
         damping[l] *= 10.0;
       const double off = w->best.size[l];
@@ -369,11 +368,10 @@ static void search(search_t *w, int64_t count, double (*z)[L], double (*ends)[L]
 }
 
 /* Improves directions and lengths z[2 n][L] of `count` trials until some end at the goal, as near as
-   is asked for; these take a last step then. Before that step: how far off they end; their ends,
-   x p q on finger and object, [18][L]; the squares of the equations' slopes, [2 n][2 n][L].
-   Returns how many arrive, or -1 without memory. */
+   is asked for; these take a last step then. Before that step: how far off they end; the squares of
+   the equations' slopes, [2 n][2 n][L]. Returns how many arrive, or -1 without memory. */
 static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z)[L], double *off,
-                     double (*ends)[L], double *squares) {
+                     double *squares) {
   work_t work;
   failure_t failure;
   begin_work(&work, NULL, &failure);
@@ -390,7 +388,7 @@ static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z
       r->lines.tolerance = aim->tolerance;
       load(&work, &r->shape, aim->body[side].shape, how->numbers);
     }
-    search(w, count, z, ends);
+    search(w, count, z);
     const int n = w->unknowns;
     for (int l = 0; l < count; l++) off[l] = sqrt(w->best.size[l]);
     for (int i = 0; i < n; i++)

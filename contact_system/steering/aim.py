@@ -39,8 +39,6 @@ class Paths(NamedTuple):
     """(2 n, 16)"""
     off: Array
     """Distance of their ends from the goal, in sizes of the smaller body and rad, (16)."""
-    ends: Array
-    """x, p, q of finger and object at the ends, p along the path, (18, 16)."""
     squares: Array
     """J^T J of the Gauss-Newton method, lengths in multiples of `Aim.unit`, (2 n, 2 n, 16)."""
 
@@ -126,12 +124,11 @@ class Aim:
         data, tried = self._data, np.empty((rows, LANES))
         tried[:, :count] = z
         data.tolerance, data.reached, data.steps = tolerance, reached, steps
-        off, ends = np.full(LANES, math.inf), np.empty((18, LANES))
-        squares = np.empty((rows, rows, LANES))
-        out = address(tried), address(off), address(ends), address(squares)
+        off, squares = np.full(LANES, math.inf), np.empty((rows, rows, LANES))
+        out = address(tried), address(off), address(squares)
         if binding.steer(ctypes.addressof(data), rows // 2, count, *out) < 0:
             raise MemoryError
-        return Paths(tried, off, ends, squares)
+        return Paths(tried, off, squares)
 
     def gap(self, points: Array, pose: Array) -> Array:
         """What contact points and pose are off the goal, in sizes and rad."""
