@@ -18,8 +18,8 @@ from .reach import TOLERANCE, reach
 SETTLED = 1e-9
 """Change, rad, of the areas that curves enclose at which they have settled: each has about twice
 as many digits as the one before."""
-FIRST_PARTS, MOST_PARTS = 64, 65536
-"""Parts of a leg, the first and the most, over which areas are summed."""
+PARTS = [2**k for k in range(6, 17)]
+"""Parts of a leg over which areas are summed."""
 
 
 @dataclass(frozen=True)
@@ -96,24 +96,21 @@ def _enclosed(motion: Motion, contact: int) -> tuple[float, float]:
     They are sums over equal steps, with twice as many each time. Such sums converge fast if what
     is summed begins and ends smoothly, so a leg's time is a smooth function of the step.
     """
-    parts, change = FIRST_PARTS, math.inf
-    swept = _swept(motion, contact, parts, 0.0)
-    areas = _areas(*swept) / parts
-    while change > SETTLED and parts < MOST_PARTS:  # normals turn fast over a flat body's rim
-        swept = np.concatenate([swept, _swept(motion, contact, parts, 0.5)], axis=1)
-        parts, before = 2 * parts, areas
-        areas = _areas(*swept) / parts
-        change = np.abs(_wrapped(areas - before)).max()
+    areas = np.full(2, math.nan)
+    for parts in PARTS:  # normals turn fast over a flat body's rim
+        before, areas = areas, _areas(*_swept(motion, contact, parts)) / parts
+        if np.abs(_wrapped(areas - before)).max() <= SETTLED:
+            break
     finger, object_ = _wrapped(areas).tolist()
     return finger, object_
 
 
-def _swept(motion: Motion, contact: int, parts: int, shift: float) -> np.ndarray:
+def _swept(motion: Motion, contact: int, parts: int) -> np.ndarray:
     """Normals n of finger and object in each part of each leg, and n x dn: (2, times, 2, 3).
 
-    shift: where in a part, 0 to 1; dn: while n goes on as now for the time of the leg.
+    dn: while n goes on as now for the time of the leg.
     """
-    turn = 2 * math.pi * (np.arange(parts) + shift) / parts
+    turn = 2 * math.pi * np.arange(parts) / parts
     t, paces = [], []
     for leg in motion.scene.way(contact):
         span = leg.stop - leg.start
