@@ -25,7 +25,6 @@ NEAR = 3e-8  # of the surface's detail, and rad: from so near, one step of Newto
 # error of a step, of the size: of a result, of a geodesic near b, and of a ray of a fan
 SHARP, FINE, ROUGH = 5e-15, 1e-9, 1e-4
 RAYS = 64  # of a fan
-CHUNK = 16  # pairs whose fans are searched at once
 # A strip is flat across where its chord and its arc differ by less than this part, and it is not
 # wider than this part of the size.
 FLAT, NARROW = 0.02, 0.05
@@ -84,7 +83,6 @@ class Search:
 
     def __init__(self, pairs: Pairs):
         self.pairs, self.follow, self.surface = pairs, pairs.follow, pairs.surface
-        self.spent = 0.0  # strips for each pair of a fan
         farthest = float(pairs.chord.max(initial=0.0))
         if farthest > MOST_SIZES * self.surface.size:
             raise SurfaceError(
@@ -97,21 +95,18 @@ class Search:
         """Directions and lengths of the shortest geodesic of each pair."""
         every = np.arange(len(self.pairs.chord))
         phi, s, met, _ = self.aim(every, *self.chords(every), steps=12)
-        unsure = np.flatnonzero(~met | (s > self.surface.injectivity * (1 + 1e-12)))
+        which = np.flatnonzero(~met | (s > self.surface.injectivity * (1 + 1e-12)))
         s[~met] = math.inf
         # the time that a fan takes grows fast with its reach on thin bodies
         far = s > 1.6 * self.pairs.chord
-        reach = np.where(far, 1.2 * self.pairs.chord, s * (1 + 1e-6))[unsure]
-        order = np.argsort(reach)  # fans of similar size together
-        for i in range(0, len(unsure), CHUNK):
-            which, far = (w[order[i : i + CHUNK]] for w in (unsure, reach))
-            while len(which):
-                self.require_near(which, far)
-                for k, direction, length, _ in zip(*self.within_reach(which, far)):
-                    if length < s[k]:
-                        phi[k], s[k] = direction, length
-                missing = s[which] > far
-                which, far = which[missing], np.minimum(1.5 * far, s[which] * (1 + 1e-6))[missing]
+        reach = np.where(far, 1.2 * self.pairs.chord, s * (1 + 1e-6))[which]
+        while len(which):
+            self.require_near(which, reach)
+            for k, direction, length, _ in zip(*self.within_reach(which, reach)):
+                if length < s[k]:
+                    phi[k], s[k] = direction, length
+            missing = s[which] > reach
+            which, reach = which[missing], np.minimum(1.5 * reach, s[which] * (1 + 1e-6))[missing]
         return phi, s
 
     def several(self, most: int, longest: float | None) -> tuple[Array, Array]:
@@ -208,10 +203,12 @@ class Search:
 
     def fan(self, which: Array, reach: Array) -> list[Array]:
         """All candidates to meet b within the reach: pair, direction, length, reach."""
+        order = np.argsort(reach)  # fans of similar size together
+        which, reach = which[order], reach[order]
         # off the axes of symmetry, where rays would meet poles of charts
         angles = 2 * math.pi * (np.arange(RAYS) + 0.137) / RAYS
         phi, width = np.tile(angles, len(which)), np.full(RAYS * len(which), 2 * math.pi / RAYS)
-        self.spent = 0.0
+        self.spent = np.zeros(len(self.pairs.chord), int)  # strips of each pair
         found = self.sift(np.repeat(which, RAYS), np.repeat(reach, RAYS), phi, width)
         # rays have no sample close to a: the chord finds b there
         direct = which, *self.chords(which), reach
@@ -224,16 +221,17 @@ class Search:
 
         A strip is a pair of points, the reach, the direction of one side, the angle to the other.
         """
-        if len(pair) > TOGETHER:  # divide, to limit memory
-            for i in range(2):
-                yield from self.sift(pair[i::2], limit[i::2], phi[i::2], width[i::2], depth)
+        if len(pair) > TOGETHER:  # to limit memory
+            for part in (slice(i, i + TOGETHER) for i in range(0, len(pair), TOGETHER)):
+                yield from self.sift(pair[part], limit[part], phi[part], width[part], depth)
             return
-        self.spent += len(pair) / len(np.unique(pair))
+        self.spent += np.bincount(pair, minlength=len(self.spent))
+        most = self.spent.argmax()
         what = (
             f"{self.surface!r}, least radius of curvature about {self.surface.bend:.2g} m: strips "
-            f"of a search for geodesics from {self.pairs.x[pair[0]].tolist()}"
+            f"of a search for geodesics from {self.pairs.x[most].tolist()}"
         )
-        within("STRIPS", self.spent, what, SurfaceError)
+        within("STRIPS", self.spent[most], what, SurfaceError)
         count = int(min(max(math.ceil(limit.max() / self.follow.detail), 8), 400))
         exact = np.minimum(0.01 * width, ROUGH)
         sides = (self.pairs.start(pair, side) for side in (phi, phi + width))
