@@ -11,7 +11,7 @@ import io
 import socket
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from ..scene import NO_CLAIMS, Scene, save_scene
 from ..steering import Goal, reach
 from ..surfaces import ParametricSurface, Surface
 from ..theory.gain import LAWS, Gain
-from .sliders import Place, Slider, adjusted, gain_slider, sliders_of
+from .sliders import Place, Slider, adjusted, sliders_of
 
 try:
     import viser
@@ -93,16 +93,15 @@ class Explorer:
         self.clicked: tuple[np.ndarray, np.ndarray] | None = None
         self.now = scene.duration
         self.shown = Sampled.of(plan(scene))
-        contacts = range(len(scene.contacts))
-        mesh = mesh_of(self.shown.plan, scene.object, 1, contacts, CELLS)
-        self.unit = 1.0 / (scene.object.size if mesh is None else mesh.size)
+        self.mesh = self._mesh(0)
+        self.unit = 1.0 / (scene.object.size if self.mesh is None else self.mesh.size)
         _require_free(port)
         with contextlib.redirect_stdout(io.StringIO()):  # viser's own greeting
             self.server = viser.ViserServer(HOST, port, scene.name or "contact_system", False)
         self.address = f"http://{HOST}:{self.server.get_port()}"
         self._add_controls()
         self._add_bodies()
-        self._look(mesh)
+        self._look()
         self._draw()
 
     def run(self) -> None:
@@ -122,10 +121,13 @@ class Explorer:
 
     def step(self, elapsed: float) -> None:
         """Handle requests, and advance a running animation by `elapsed` seconds."""
-        if self.clicked is not None:
-            self._click(*self.clicked)
-        elif self.stale:
-            self._plan_again()
+        try:
+            if self.clicked is not None:
+                self._click(*self.clicked)
+            elif self.stale:
+                self._plan_again()
+        except ContactSystemError as error:
+            self.said.content = f"**Refused, so the picture stays:** {error}"
         if self.playing:
             span = self.shown.plan.end - self.shown.plan.start
             self.now = (self.now + elapsed) % span
@@ -147,7 +149,7 @@ class Explorer:
         self.said = gui.add_markdown(scene.description)
         self.slip = gui.add_uplot(
             self._slip_data(),
-            tuple(self._slip_series()),
+            ({"label": "time"}, *map(self._slip_style, range(len(scene.contacts)))),
             scales={"x": {"time": False}},
             legend={"show": False},
             title="log10 of slip [m/s] over time [s]",
@@ -161,19 +163,22 @@ class Explorer:
         self.forget = gui.add_button("Forget goals", disabled=True)
         self.save = gui.add_button("Save scene")
         self.law = gui.add_dropdown("gain law", tuple(LAWS), initial_value=scene.gain.law)
-        self.gain = self._slider(gain_slider(scene.gain), self._parameter())
+        value, place = scene.gain.value, ("gain",)
+        most = 4 * value or 100.0
+        gain = Slider("", self._parameter(), 0.0, most, value, (place,), self._gain)
+        self.gain = self._slider(gain)
         folders: dict[str, Any] = {}
         for slider in sliders_of(scene):
             if slider.folder not in folders:
                 first = slider.folder in ("profile", "shapes")
                 folders[slider.folder] = gui.add_folder(slider.folder, expand_by_default=first)
             with folders[slider.folder]:
-                self._slider(slider, slider.label)
+                self._slider(slider)
 
         @self.law.on_update
         async def _(_: Any) -> None:
             self.gain.label = self._parameter()
-            self._set_gain(self.gain.value)
+            self.ask({("gain",): self._gain(self.gain.value)})
 
         @self.play.on_click
         async def _(_: Any) -> None:
@@ -196,7 +201,7 @@ class Explorer:
         def _(_: Any) -> None:
             self._save()
 
-    def _slider(self, slider: Slider, label: str) -> Any:
+    def _slider(self, slider: Slider) -> Any:
         """A slider in the page. It shows a rounded value; until it is moved, and again when it is
         moved back to its first place, the scene has its exact value."""
         span = slider.high - slider.low
@@ -204,14 +209,11 @@ class Explorer:
         low, high = (round(x / step) * step for x in (slider.low, slider.high))
         value = float(np.clip(round(slider.value / step) * step, low, high))
         low, high, value, step = (float(f"{x:.9g}") for x in (low, high, value, step))
-        handle = self.server.gui.add_slider(label, low, high, step, value)
+        handle = self.server.gui.add_slider(slider.label, low, high, step, value)
 
         @handle.on_update
         async def _(_: Any) -> None:
             now = slider.value if handle.value == value else handle.value
-            if slider.places == (("gain",),):
-                self._set_gain(now)
-                return
             self.ask({place: slider.made(now) for place in slider.places})
 
         return handle
@@ -220,8 +222,8 @@ class Explorer:
         law = LAWS[self.law.value]
         return f"{law.parameter} [{law.unit}]"
 
-    def _set_gain(self, value: float) -> None:
-        self.ask({("gain",): Gain(self.law.value, value)})
+    def _gain(self, value: float) -> Gain:
+        return Gain(self.law.value, value)
 
     # --- requests ------------------------------------------------------------------------------
 
@@ -238,42 +240,34 @@ class Explorer:
         text = f"{legs} leg{'s' * (legs > 1)}, {route.length:.3g} m in all, to the goal."
         return route.scene, text + left
 
-    def _plan_again(self) -> bool:
-        """Plan and draw the requested scene; if it is refused, say why and keep the picture."""
+    def _plan_again(self) -> None:
+        """Plan and draw the requested scene."""
         self.stale = False
-        try:
-            scene, text = self._requested()
-            shown = Sampled.of(plan(scene))
-        except ContactSystemError as error:
-            self.said.content = f"**Refused, so the picture stays:** {error}"
-            return False
-        self.shown = shown
+        scene, text = self._requested()
+        self.shown = Sampled.of(plan(scene))
         with self.server.atomic():  # otherwise the browser may draw twice
             self.said.content, self.forget.disabled = text, not self.goals
             self._draw_shapes()
             self._draw()
-        return True
 
     def _click(self, origin: np.ndarray, direction: np.ndarray) -> None:
         """Make the point where a ray meets the object the goal of the chosen finger."""
         self.clicked = None
-        scene = self.shown.plan.scene
-        mesh = mesh_of(self.shown.plan, scene.object, 1, range(len(scene.contacts)), CELLS)
-        hit = None if mesh is None else _first_hit(mesh, origin / self.unit, direction)
+        hit = None if self.mesh is None else _first_hit(self.mesh, origin / self.unit, direction)
         if hit is None:
             return
+        body = self.shown.plan.scene.object
+        if isinstance(body, ParametricSurface):  # the hit is on a triangle near it
+            u, v, _ = body.nearest(hit)
+        else:
+            u, v = body.coordinates(hit)
         before, i = dict(self.goals), int(self.finger.value.partition(":")[0])
+        self.goals[i] = Goal(object_at=(float(u), float(v)))
         try:
-            if isinstance(scene.object, ParametricSurface):  # the hit is on a triangle near it
-                u, v, _ = scene.object.nearest(hit)
-            else:
-                u, v = scene.object.coordinates(hit)
-            self.goals[i] = Goal(object_at=(float(u), float(v)))
-        except ContactSystemError as error:
-            self.said.content = f"**Refused, so the picture stays:** {error}"
-            return
-        if not self._plan_again():
+            self._plan_again()
+        except ContactSystemError:
             self.goals = before
+            raise
 
     def _save(self) -> None:
         try:
@@ -334,9 +328,9 @@ class Explorer:
             surface = scene.contacts[k - 1].finger if k else scene.object
             if self.whole.get(k) == surface:
                 continue
-            which = [k - 1] if k else range(len(scene.contacts))
-            cells = FINGER_CELLS if k else CELLS
-            mesh = mesh_of(shown.plan, surface, int(not k), which, cells)
+            mesh = self._mesh(k)
+            if k == 0:
+                self.mesh = mesh
             self.whole[k] = surface if mesh is not None and mesh.whole else None
             body.visible = lines.visible = mesh is not None
             if mesh is not None:
@@ -355,6 +349,14 @@ class Explorer:
             self.marks[i].visible = goal is not None
             if goal is not None and goal.object_at is not None:
                 self.marks[i].position = scene.object.point(*goal.object_at) * self.unit
+
+    def _mesh(self, k: int) -> Mesh | None:
+        """The object's mesh, k = 0, or that of finger k - 1."""
+        planned = self.shown.plan
+        contacts = planned.scene.contacts
+        if k:
+            return mesh_of(planned, contacts[k - 1].finger, 0, [k - 1], FINGER_CELLS)
+        return mesh_of(planned, planned.scene.object, 1, range(len(contacts)), CELLS)
 
     def _draw(self) -> None:
         """Draw what depends on time: the curves so far, and the fingers' poses."""
@@ -377,15 +379,13 @@ class Explorer:
         least = max(slip.max() * 10.0**-DECADES, 1e-16)
         return self.shown.t, *np.log10(np.maximum(slip, least)).T
 
-    def _slip_series(self) -> Iterator[Any]:
-        yield {"label": "time"}
-        for i in range(len(self.base.contacts)):
-            style = {"stroke": colour_of(i), "width": 2, "points": {"show": False}}
-            yield {"label": str(i), **style}
+    def _slip_style(self, contact: int) -> Any:
+        style = {"stroke": colour_of(contact), "width": 2, "points": {"show": False}}
+        return {"label": str(contact), **style}
 
-    def _look(self, mesh: Mesh | None) -> None:
+    def _look(self) -> None:
         """Place the camera at the best view of the curves."""
-        contacts = range(len(self.base.contacts))
+        contacts, mesh = range(len(self.base.contacts)), self.mesh
         points = self.shown.points
         curves = [curve_of(self.shown.plan, i, self.shown.t, points[:, i, 1]) for i in contacts]
         ends = mesh.points if mesh is not None else points[:, :, 1].reshape(-1, 3)

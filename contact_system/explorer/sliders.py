@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,6 @@ from ..plots.meshes import closed_span
 from ..scene import STILL, Scene
 from ..surfaces import Surface
 from ..surfaces.base import OfLengths
-from ..theory.gain import Gain
 from ..theory.profile import Numbers
 
 Place = tuple[str | int, ...]
@@ -54,11 +53,6 @@ def adjusted(part: Any, values: Mapping[Place, Any]) -> Any:
 
 def _field(part: Any, name: str) -> Any:
     return getattr(part, "named_parameters" if name == "parameters" else name)
-
-
-def gain_slider(gain: Gain) -> Slider:
-    """The slider of the gain's value under any law."""
-    return Slider("", "", 0.0, 4 * gain.value or 100.0, gain.value, (("gain",),))
 
 
 def sliders_of(scene: Scene) -> list[Slider]:
@@ -107,15 +101,15 @@ def _of_disturbances(scene: Scene) -> Iterator[Slider]:
     for k, d in enumerate(scene.disturbances):
         alike.setdefault((d.kind, d.start, d.stop, d.value), []).append(k)
     for (kind, start, stop, pair), which in alike.items():
-        numbers: Iterable[tuple[str, float, float, float, Place]] = [
-            ("start [s]", 0.0, scene.duration, start, ("start",)),
-            ("stop [s]", 0.0, scene.duration, stop, ("stop",)),
-        ]
         most = 3 * max(map(abs, pair)) or 1.0
-        numbers = [*numbers, *((f"d{'uv'[j]}", -most, most, pair[j], ("value", j)) for j in (0, 1))]
-        for label, low, high, value, tail in numbers:
-            places = tuple(("disturbances", k, *tail) for k in which)
-            yield Slider(kind, label, low, high, value, places)
+        numbers: dict[Place, tuple[str, float, float, float]] = {
+            ("start",): ("start [s]", 0.0, scene.duration, start),
+            ("stop",): ("stop [s]", 0.0, scene.duration, stop),
+            ("value", 0): ("du", -most, most, pair[0]),
+            ("value", 1): ("dv", -most, most, pair[1]),
+        }
+        for tail, number in numbers.items():
+            yield Slider(kind, *number, tuple(("disturbances", k, *tail) for k in which))
 
 
 def _of_starts(scene: Scene) -> Iterator[Slider]:
