@@ -168,21 +168,16 @@ class Pairs:
         self.surface, self.follow = surface, Follower(surface)
         places = [self._placed(name, w) for name, w in (("a", a), ("b", b))]
         try:
-            self.shape = np.broadcast_shapes(*(x.shape[:-1] for _, x in places))
+            first, last = np.broadcast_arrays(*places)
         except ValueError:
-            shapes = " and ".join(str(x.shape[:-1]) for _, x in places)
+            shapes = " and ".join(str(x.shape[:-1]) for x in places)
             raise SurfaceError(
                 f"{surface!r}: a and b are points of shapes {shapes}; give equally many, or one"
             ) from None
-        (self.uv, self.x), (self.uv_b, self.b) = (
-            tuple(
-                np.broadcast_to(w, (*self.shape, w.shape[-1])).reshape(-1, w.shape[-1]) for w in p
-            )
-            for p in places
-        )
+        self.shape = first.shape[:-1]
+        self.uv, self.x = np.split(first.reshape(-1, 5), [2], axis=1)
+        self.uv_b, self.b = np.split(last.reshape(-1, 5), [2], axis=1)
         self.chord = np.linalg.norm(self.b - self.x, axis=1)
-        if self.uv.shape[-1] == 3:
-            self.uv = np.stack(surface.coordinates(self.uv), axis=-1)
         frame, self.lost = self._frames(self.uv)
         if not self.follow.space and (self.lost | self._frames(self.uv_b)[1]).any():
             raise SurfaceError(
@@ -224,35 +219,31 @@ class Pairs:
 
     # -- points
 
-    def _placed(self, name: str, given: ArrayLike) -> tuple[Array, Array]:
-        """(u, v), or the given point if geodesics are followed in space, and the point in space."""
+    def _placed(self, name: str, given: ArrayLike) -> Array:
+        """u, v, x, y, z of points, (..., 5)."""
         surface = self.surface
         points = shaped_array(given, f"{surface!r}: {name}", error=SurfaceError)
         if points.ndim == 0 or points.shape[-1] not in (2, 3) or not np.isfinite(points).all():
             raise SurfaceError(
                 f"{surface!r}: {name} = {given!r:.80}: give finite (u, v), or points x, y, z in m"
             )
-        if points.shape[-1] == 2:
-            if self.follow.space:  # where frames are those of the regular range, as of contacts
-                points = np.stack(surface._wrap(points[..., 0], points[..., 1]), axis=-1)
-            there = surface.point(points[..., 0], points[..., 1])
-            missing, uv = ~np.isfinite(there).all(axis=-1), points
+        in_space = points.shape[-1] == 3
+        uv = surface.coordinates(points) if in_space else (points[..., 0], points[..., 1])
+        if self.follow.space and not in_space:
+            uv = surface._wrap(*uv)  # where frames are those of the regular range, as of contacts
+        if self.follow.space and in_space:  # to the last digit, at poles too
+            there = self._restored(points.reshape(-1, 3), np.ones(3))[0].reshape(points.shape)
         else:
-            if self.follow.space:
-                there = self._restored(points.reshape(-1, 3), np.ones(3))[0].reshape(points.shape)
-                uv = points  # (u, v) of b is not needed
-            else:
-                uv = np.stack(surface.coordinates(points), axis=-1)
-                there = surface.point(uv[..., 0], uv[..., 1])
-            off = np.linalg.norm(there - points, axis=-1)
-            missing = ~(off <= ON_SURFACE * surface.size)
+            there = surface.point(*uv)
+        off = np.linalg.norm(there - (points if in_space else there), axis=-1)  # NaN: no point
+        missing = ~(off <= ON_SURFACE * surface.size)
         if missing.any():
             wrong = points[missing][0].tolist()
             raise SurfaceError(
                 f"{surface!r}: {name} = {wrong} is not on the surface; give other "
                 "coordinates (u, v), or a point projected onto it"
             )
-        return uv, there
+        return np.concatenate([np.stack(uv, axis=-1), there], axis=-1)
 
     def _frames(self, uv: Array) -> tuple[Array, Array]:
         """Contact frames (n, 3, 3), and where there is none."""
