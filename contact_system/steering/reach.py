@@ -88,21 +88,16 @@ def reach(
     if longest is not None:
         longest = finite_number(longest, "longest", "above 0")
     seconds = finite_number(seconds, "seconds", "not below 0")
-    routes: list[_Route | None] = []
-    texts, share = [], seconds / sum(own is not None for own in goals)
+    rest = (Leg(0.0, 0.0, scene.duration),)
+    contacts, residual, texts = list(scene.contacts), 0.0, []
+    share = seconds / sum(own is not None for own in goals)
     for i, own in enumerate(goals):
         if own is None:
-            routes.append(None)
+            contacts[i] = dataclasses.replace(contacts[i], legs=rest)
             continue
         route, tried = _Search(scene, i, own, longest).shortest(legs, share)
-        routes.append(route)
+        contacts[i], residual = route.scene.contacts[0], max(residual, route.residual)
         texts.append(f"{scene.contact_name(i)}: {tried}")
-    residual = max(route.residual for route in routes if route is not None)
-    rest = (Leg(0.0, 0.0, scene.duration),)
-    contacts = [
-        dataclasses.replace(contact, legs=rest) if route is None else route.scene.contacts[0]
-        for contact, route in zip(scene.contacts, routes)
-    ]
     legged = scene.replace(contacts=contacts, profile=STILL, **NO_CLAIMS)
     legs_by_contact = tuple(tuple(contact.legs) for contact in legged.contacts)
     whole = sum(leg.length or 0.0 for own in legs_by_contact for leg in own)
@@ -237,8 +232,7 @@ class _Search:
             off = float(np.linalg.norm(gap))
             return _Route(z, scene, off, squares) if off <= REACHED else None
         except ContactSystemError:  # such as a path through a pole
-            pass
-        return None
+            return None
 
     def _corrected(self, z: Array) -> Array:
         """The path whose plan ends at the goal, by the least Gauss-Newton steps."""
