@@ -14,8 +14,6 @@ from typing import Any
 from ..errors import ContactSystemError
 from .chunk import NOTHING, Chunk, Part, Run, a_failure, end_with
 
-LOSSES = 2  # workers that a chunk may lose while it runs alone
-
 
 def spread(
     chunks: Iterator[Chunk], run: Run, executor: Executor, ahead: int
@@ -23,8 +21,7 @@ def spread(
     """Run chunks on an executor, at most ``ahead`` at a time.
 
     Chunks lost with a worker run again at the end, together. Those that are lost again then run one
-    at a time, to show which chunk kills its worker: after ``LOSSES`` more workers its scenes become
-    failures.
+    at a time; the scenes of one that is lost even so become failures.
     """
     lost: Iterable[Chunk] = chunks
     with contextlib.closing(_Crew(executor, run)) as crew:
@@ -36,11 +33,8 @@ def spread(
                 else:
                     lost.append(chunk)
         for chunk in lost:
-            for _ in range(LOSSES):
-                ((_, part),) = crew.work([chunk], 1)
-                if isinstance(part, Part):
-                    break
-            else:
+            ((_, part),) = crew.work([chunk], 1)
+            if not isinstance(part, Part):
                 places = enumerate(chunk.items, chunk.first)
                 part = Part(NOTHING, [a_failure(*placed, part) for placed in places])
             yield chunk, part
