@@ -136,10 +136,27 @@ def failed(scene: Scene, failure: Failure) -> Exception:
     """The error of a failed call of the engine."""
     name, contact = f"{scene.title}, contact {failure.contact}", scene.contacts[failure.contact]
     surface = (contact.finger, scene.object)[failure.side]
+    where = f"{failure.t:.9g}"
+    reached = f"arc length {where} m" if failure.by_length else f"t = {where} s"
     if failure.code == STUCK:
-        return _stuck(scene, name, failure)
+        why = _accelerated_at_rest(scene, failure) or (
+            "the path reaches a singular point of its chart or its surface, or it is so fast, or "
+            "so far from the body's origin, that rounding exceeds the tolerance; start elsewhere, "
+            "change the direction, end the scene before or give a greater tolerance"
+        )
+        return ContactSystemError(f"{name}: the motion cannot be continued past {reached}: {why}")
     if failure.code == TOO_MANY_PANELS:
-        return _too_many_panels(scene, name, failure)
+        why = _accelerated_at_rest(scene, failure) or (
+            "shorten the scene, lower the speed, the acceleration or the surface's curvature, or "
+            "give a surface of your own a greater size; where the path comes to a pole of its "
+            "chart, or to where a formula has no values, end the scene or the disturbance before"
+        )
+        return ContactSystemError(
+            f"{name}: {failure.panels} panels reach {reached} of {failure.end:.9g} only, and the "
+            f"plan has tried {failure.spent} of at most {limits.PANELS:.15g}, {failure.most} of "
+            f"them for contact {failure.greediest}; {why}, or set contact_system.limits.PANELS "
+            "higher"
+        )
     if failure.code == TOO_LONG:
         return SceneError(
             f"{name}: its path is {failure.value:.3g} times as long as {surface!r} is large; "
@@ -167,36 +184,6 @@ def passed(name: str, surface: Surface, place: tuple[float, float]) -> ContactSy
         f"({place[0]:.9g}, {place[1]:.9g}), where the contact frame turns over; start elsewhere, "
         f"change the direction, end the scene before, or {other}, which needs no chart"
     )
-
-
-def _stuck(scene: Scene, name: str, failure: Failure) -> ContactSystemError:
-    why = _accelerated_at_rest(scene, failure) or (
-        "the path reaches a singular point of its chart or its surface, or it is so fast, or so "
-        "far from the body's origin, that rounding exceeds the tolerance; start elsewhere, change "
-        "the direction, end the scene before or give a greater tolerance"
-    )
-    return ContactSystemError(
-        f"{name}: the motion cannot be continued past {_reached(failure)}: {why}"
-    )
-
-
-def _too_many_panels(scene: Scene, name: str, failure: Failure) -> ContactSystemError:
-    why = _accelerated_at_rest(scene, failure) or (
-        "shorten the scene, lower the speed, the acceleration or the surface's curvature, or give "
-        "a surface of your own a greater size; where the path comes to a pole of its chart, or to "
-        "where a formula has no values, end the scene or the disturbance before"
-    )
-    return ContactSystemError(
-        f"{name}: {failure.panels} panels reach {_reached(failure)} of "
-        f"{failure.end:.9g} only, and the plan has tried {failure.spent} of at most "
-        f"{limits.PANELS:.15g}, {failure.most} of them for contact {failure.greediest}; {why}, or "
-        "set contact_system.limits.PANELS higher"
-    )
-
-
-def _reached(failure: Failure) -> str:
-    where = failure.t
-    return f"arc length {where:.9g} m" if failure.by_length else f"t = {where:.9g} s"
 
 
 def _accelerated_at_rest(scene: Scene, failure: Failure) -> str:
