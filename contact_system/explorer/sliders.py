@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -12,7 +13,6 @@ from ..plots.meshes import closed_span
 from ..scene import STILL, Scene
 from ..surfaces import Surface
 from ..surfaces.base import OfLengths
-from ..theory.profile import Numbers
 
 Place = tuple[str | int, ...]
 """Path to a number of a scene: names of fields and indices."""
@@ -45,14 +45,10 @@ def adjusted(part: Any, values: Mapping[Place, Any]) -> Any:
         return tuple(adjusted(x, below.get(k, {})) for k, x in enumerate(part))
     if isinstance(part, Mapping):
         return {key: adjusted(x, below.get(key, {})) for key, x in part.items()}
-    changes = {head: adjusted(_field(part, head), changed) for head, changed in below.items()}
-    return (
-        part.replace(**changes) if isinstance(part, Scene) else dataclasses.replace(part, **changes)
-    )
-
-
-def _field(part: Any, name: str) -> Any:
-    return getattr(part, "named_parameters" if name == "parameters" else name)
+    fields = {head: "named_parameters" if head == "parameters" else head for head in below}
+    changes = {head: adjusted(getattr(part, fields[head]), below[head]) for head in below}
+    replace = Scene.replace if isinstance(part, Scene) else dataclasses.replace
+    return replace(part, **changes)
 
 
 def sliders_of(scene: Scene) -> list[Slider]:
@@ -126,14 +122,10 @@ def _of_starts(scene: Scene) -> Iterator[Slider]:
         turn = -math.pi, math.pi
         yield Slider(folder, "angle psi [rad]", *turn, contact.angle, ((*place, "angle"),))
         if not isinstance(contact.finger_velocity, str):
-            yield _direction(folder, contact.finger_velocity, (*place, "finger_velocity"))
+            length, angle = cmath.polar(complex(*contact.finger_velocity))
 
+            def turned(angle: float, length: float = length) -> tuple[float, float]:
+                return length * math.cos(angle), length * math.sin(angle)
 
-def _direction(folder: str, velocity: Numbers, place: Place) -> Slider:
-    """A slider of the direction of a velocity; its length does not change."""
-    length, angle = math.hypot(*velocity), math.atan2(velocity[1], velocity[0])
-
-    def turned(a: float) -> tuple[float, float]:
-        return length * math.cos(a), length * math.sin(a)
-
-    return Slider(folder, "direction [rad]", -math.pi, math.pi, angle, (place,), turned)
+            places = ((*place, "finger_velocity"),)
+            yield Slider(folder, "direction [rad]", *turn, angle, places, turned)
