@@ -396,7 +396,3 @@ def _overlaps(plan: Plan) -> Iterable[str]:
                 f"{least[found, i].min():.3g} 1/m), as real ones cannot. Make the finger smaller, "
                 "or plan contact where the object is less concave."
             )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -229,7 +229,7 @@ def test_progress_is_drawn_on_a_terminal_only_and_only_when_it_takes_long(monkey
 def test_a_reader_that_has_read_enough_is_no_error():
     reads, writes = os.pipe()
     os.close(reads)
-    command = [sys.executable, "-m", "contact_system.cli", "explain", "K4"]
+    command = [sys.executable, "-m", "contact_system", "explain", "K4"]
     ended = subprocess.run(command, stdout=writes, stderr=subprocess.PIPE, text=True)
     os.close(writes)
     assert (ended.returncode, ended.stderr) == (0, "")

@@ -111,7 +111,7 @@ def test_what_can_be_turned_gives_a_scene_or_an_error_that_says_why(name):
 
 
 def test_ctrl_c_ends_the_explorer(tmp_path):
-    words = [sys.executable, "-m", "contact_system.cli", "explore", "K1", "--port", "0"]
+    words = [sys.executable, "-m", "contact_system", "explore", "K1", "--port", "0"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     # a shell that runs the tests in the background lets them ignore Ctrl-C
     heed = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
