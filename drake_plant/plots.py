@@ -202,7 +202,7 @@ def _draw_curves(ax: Any, result: SimulationResult, planned: Plan) -> None:
     """Measured contact curves, with dots where the plan has them."""
     contacts, points = range(len(result.scene.contacts)), result.measured["contact_point"]
     curves = [curve_of(planned, i, result.t, points[:, i]) for i in contacts]
-    mesh = mesh_of(planned, result.scene.object, 1, contacts)
+    mesh = mesh_of(planned, 1, contacts)
     draw_body(ax, mesh, curves)
     view = best_view(mesh, curves)
     apart = APART * max(ax.dataLim.width, ax.dataLim.height)

@@ -31,7 +31,7 @@ def _ink(image) -> float:
 
 def test_points_behind_a_sphere_are_hidden_and_those_before_it_are_not():
     plan = cs.plan(_scene(cs.Sphere(0.1), at=(1.0, 0.2)))
-    mesh = plots.mesh_of(plan, plan.scene.object, 1, [0])
+    mesh = plots.mesh_of(plan, 1, [0])
     view = np.eye(3)  # the camera looks down the z axis
     x = np.random.default_rng(2).normal(size=(300, 3))
     x *= 0.1 / np.linalg.norm(x, axis=1)[:, None]
@@ -41,7 +41,7 @@ def test_points_behind_a_sphere_are_hidden_and_those_before_it_are_not():
 
 def test_a_hollow_is_seen_from_its_open_side():
     plan = cs.plan(_scene(cs.Sphere(0.2, inside=True), at=(3 * math.pi / 4, 0.0)))
-    mesh = plots.mesh_of(plan, plan.scene.object, 1, [0])
+    mesh = plots.mesh_of(plan, 1, [0])
     curve = plots.curves.curves_of(plan, [0], 1)
     hidden = plots.bodies.is_hidden(mesh, plots.bodies.best_view(mesh, curve), curve[0].points)
     assert not hidden.any()

@@ -28,7 +28,7 @@ from ..plots.meshes import Mesh, mesh_of
 from ..plots.style import BODY, DISTURBED, colour_of
 from ..scene import NO_CLAIMS, Scene, save_scene
 from ..steering import Goal, reach
-from ..surfaces import ParametricSurface, Surface
+from ..surfaces import ParametricSurface
 from ..theory.gain import LAWS, Gain
 from .sliders import Place, Slider, adjusted, sliders_of
 
@@ -89,12 +89,12 @@ class Explorer:
         self.goals: dict[int, Goal] = {}
         self.wake, self.stale, self.playing = threading.Event(), False, False
         self.knots: dict[tuple[int, int], np.ndarray] = {}
-        self.whole: dict[int, Surface | None] = {}  # closed bodies, whose meshes need no curves
         self.clicked: tuple[np.ndarray, np.ndarray] | None = None
         self.now = scene.duration
         self.shown = Sampled.of(plan(scene))
-        self.mesh = self._mesh(0)
-        self.unit = 1.0 / (scene.object.size if self.mesh is None else self.mesh.size)
+        self.meshes: list[Mesh | None] = [None] * (1 + len(scene.contacts))  # object, fingers
+        mesh = mesh_of(self.shown.plan, 1, range(len(scene.contacts)), CELLS)
+        self.unit = 1.0 / (scene.object.size if mesh is None else mesh.size)
         _require_free(port)
         with contextlib.redirect_stdout(io.StringIO()):  # viser's own greeting
             self.server = viser.ViserServer(HOST, port, scene.name or "contact_system", False)
@@ -253,7 +253,8 @@ class Explorer:
     def _click(self, origin: np.ndarray, direction: np.ndarray) -> None:
         """Make the point where a ray meets the object the goal of the chosen finger."""
         self.clicked = None
-        hit = None if self.mesh is None else _first_hit(self.mesh, origin / self.unit, direction)
+        mesh = self.meshes[0]
+        hit = None if mesh is None else _first_hit(mesh, origin / self.unit, direction)
         if hit is None:
             return
         body = self.shown.plan.scene.object
@@ -326,16 +327,16 @@ class Explorer:
         self.slip.data = self._slip_data()
         for k, (body, lines) in enumerate(zip(self.bodies, self.lines)):
             surface = scene.contacts[k - 1].finger if k else scene.object
-            if self.whole.get(k) == surface:
+            mesh = self.meshes[k]
+            if mesh is not None and mesh.whole and mesh.surface == surface:
                 continue
-            mesh = self._mesh(k)
-            if k == 0:
-                self.mesh = mesh
-            self.whole[k] = surface if mesh is not None and mesh.whole else None
+            which = [k - 1] if k else range(len(scene.contacts))
+            mesh = mesh_of(shown.plan, int(not k), which, FINGER_CELLS if k else CELLS)
+            self.meshes[k] = mesh
             body.visible = lines.visible = mesh is not None
             if mesh is not None:
-                body.side = "front" if mesh.whole or mesh.inside else "double"
-                lines.side = "double" if k or mesh.inside else body.side
+                body.side = "front" if mesh.whole or surface.inside else "double"
+                lines.side = "double" if k or surface.inside else body.side
                 points = mesh.points * self.unit - DEPTH * mesh.normals
                 body.vertices, body.faces = points - DEPTH * mesh.normals, mesh.triangles()
                 lines.vertices, lines.faces = replace(mesh, points=points).strips(LINES, WIDTH)
@@ -349,14 +350,6 @@ class Explorer:
             self.marks[i].visible = goal is not None
             if goal is not None and goal.object_at is not None:
                 self.marks[i].position = scene.object.point(*goal.object_at) * self.unit
-
-    def _mesh(self, k: int) -> Mesh | None:
-        """The object's mesh, k = 0, or that of finger k - 1."""
-        planned = self.shown.plan
-        contacts = planned.scene.contacts
-        if k:
-            return mesh_of(planned, contacts[k - 1].finger, 0, [k - 1], FINGER_CELLS)
-        return mesh_of(planned, planned.scene.object, 1, range(len(contacts)), CELLS)
 
     def _draw(self) -> None:
         """Draw what depends on time: the curves so far, and the fingers' poses."""
@@ -385,7 +378,7 @@ class Explorer:
 
     def _look(self) -> None:
         """Place the camera at the best view of the curves."""
-        contacts, mesh = range(len(self.base.contacts)), self.mesh
+        contacts, mesh = range(len(self.base.contacts)), self.meshes[0]
         points = self.shown.points
         curves = [curve_of(self.shown.plan, i, self.shown.t, points[:, i, 1]) for i in contacts]
         ends = mesh.points if mesh is not None else points[:, :, 1].reshape(-1, 3)
@@ -436,7 +429,7 @@ def _knots(points: np.ndarray, disturbed: np.ndarray) -> np.ndarray:
 def _first_hit(mesh: Mesh, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
     """The first point of a ray on a mesh, (3,); on a hollow, on its visible side."""
     triangles = mesh.triangles()
-    if mesh.inside:
+    if mesh.surface.inside:
         triangles = triangles[mesh.normals[triangles[:, 0]] @ direction < 0]
     a, b, c = (mesh.points[triangles[:, k]] for k in range(3))
     sides = np.stack([b - a, c - a, np.broadcast_to(-direction, a.shape)], axis=2)

@@ -261,7 +261,7 @@ def _draw_sigma(ax: Any, plan: Plan) -> None:
 
 def _draw_object(ax: Any, plan: Plan) -> None:
     contacts = range(len(plan.scene.contacts))
-    draw_body(ax, mesh_of(plan, plan.scene.object, 1, contacts), curves_of(plan, contacts, 1))
+    draw_body(ax, mesh_of(plan, 1, contacts), curves_of(plan, contacts, 1))
 
 
 def _draw_finger(ax: Any, plan: Plan) -> None:
@@ -270,7 +270,7 @@ def _draw_finger(ax: Any, plan: Plan) -> None:
     finger = contacts[0].finger
     same = [i for i, c in enumerate(contacts) if c.finger == finger]
     curves = distinct(curves_of(plan, same, 0), 1e-3 * finger.size)
-    draw_body(ax, mesh_of(plan, finger, 0, same), curves)
+    draw_body(ax, mesh_of(plan, 0, same), curves)
     text = "On the fingers" if len(contacts) > 1 else "On the finger"
     if len(same) < len(contacts):
         text = shortened(f"Finger ({', '.join(map(plan.scene.contact_name, same))})", 40)

@@ -74,7 +74,7 @@ def is_hidden(mesh: Mesh | None, view: np.ndarray, points: np.ndarray) -> np.nda
     if mesh is None:
         return hidden
     triangles, slack = mesh.triangles(OCCLUDER), 0.02 * mesh.size
-    if mesh.inside:  # a hollow is open towards the camera
+    if mesh.surface.inside:  # a hollow is open towards the camera
         triangles = triangles[(mesh.normals @ view[:, 2])[triangles].mean(1) > 0]
     corners = (mesh.points @ view)[triangles]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -108,7 +108,7 @@ def _draw_surface(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
     layers = [(facing <= 0, HOLLOW, 1 - shade), (facing > 0, BODY, shade)]
     style = {"shading": "gouraud", "vmin": 0, "vmax": 1, "zorder": 1, "rasterized": True}
     # of a hollow only the far side is drawn, as in a bowl cut open
-    for chosen, colours, values in layers[mesh.inside :]:
+    for chosen, colours, values in layers[mesh.surface.inside :]:
         if chosen.any():
             colours = LinearSegmentedColormap.from_list("body", colours)
             ax.tripcolor(x, y, triangles[chosen], values, cmap=colours, **style)

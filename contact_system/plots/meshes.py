@@ -20,10 +20,10 @@ UNBOUNDED = 50  # sizes; a larger implicit surface is not closed
 class Mesh:
     """A surface on a grid of this shape: points and normals, (n, 3)."""
 
+    surface: Surface
     shape: tuple[int, int]
     points: np.ndarray
     normals: np.ndarray
-    inside: bool
     whole: bool  # a whole closed surface; else a part of it around the curves
 
     @property
@@ -59,10 +59,10 @@ def _triangles(grid: np.ndarray) -> np.ndarray:
     return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
 
 
-def mesh_of(
-    plan: Plan, surface: Surface, side: int, contacts: Sequence[int], cells: int = CELLS
-) -> Mesh | None:
-    """The whole surface if it is closed, else the part around the curves."""
+def mesh_of(plan: Plan, side: int, contacts: Sequence[int], cells: int = CELLS) -> Mesh | None:
+    """The finger of some contacts (side 0), or the object (1): the whole surface if it is closed,
+    else the part around the curves."""
+    surface = plan.scene.object if side else plan.scene.contacts[contacts[0]].finger
     closed = closed_span(surface, 0) is not None and closed_span(surface, 1) is not None
     for whole in (True, False):
         spans = [_span(plan, surface, side, contacts, k, whole) for k in (0, 1)]
@@ -72,7 +72,7 @@ def mesh_of(
         except ContactSystemError:  # an implicit surface that some rays of its chart do not meet
             continue
         normals = frames[..., 2].reshape(-1, 3)
-        mesh = Mesh(u.shape, points.reshape(-1, 3), normals, surface.inside, whole and closed)
+        mesh = Mesh(surface, u.shape, points.reshape(-1, 3), normals, whole and closed)
         if not whole or mesh.size <= UNBOUNDED * surface.size:
             return mesh
     return None
