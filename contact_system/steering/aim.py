@@ -28,21 +28,6 @@ PARTS = 8
 """Points of a leg at which regions are enforced."""
 
 
-class Paths(NamedTuple):
-    """Results of a search.
-
-    A path is z = (phi_1, ..., phi_n, s_1, ..., s_n): directions measured from ``finger_velocity``,
-    and lengths along s, m; a path of negative length runs backwards.
-    """
-
-    z: Array
-    """(2 n, 16)"""
-    off: Array
-    """Distance of their ends from the goal, in sizes of the smaller body and rad, (16)."""
-    squares: Array
-    """J^T J of the Gauss-Newton method, lengths in multiples of `Aim.unit`, (2 n, 2 n, 16)."""
-
-
 class Region(NamedTuple):
     """A ball about a point of body 0 or 1: the search uses the radius, m; the widest is allowed."""
 
@@ -115,10 +100,17 @@ class Aim:
         """Whether both bodies are spheres or planes."""
         return not self._followers
 
-    def search(self, z: Array, tolerance: float, reached: float, steps: int = 40) -> Paths:
+    def search(
+        self, z: Array, tolerance: float, reached: float, steps: int = 40
+    ) -> tuple[Array, Array, Array]:
         """Newton's method from paths z, (2 n, m), until two of them are ``reached`` off the goal.
 
-        tolerance: error of a step of a geodesic, as a fraction of the size.
+        A path is (phi_1, ..., phi_n, s_1, ..., s_n): directions measured from ``finger_velocity``,
+        and lengths along s, m; a path of negative length runs backwards. tolerance: error of a step
+        of a geodesic, as a fraction of the size.
+
+        Returns the paths found, (2 n, 16); how far they end from the goal, in sizes of the smaller
+        body and rad, (16); J^T J, lengths in multiples of ``unit``, (2 n, 2 n, 16).
         """
         rows, count = z.shape
         data, tried = self._data, np.empty((rows, LANES))
@@ -128,7 +120,7 @@ class Aim:
         out = address(tried), address(off), address(squares)
         if binding.steer(ctypes.addressof(data), rows // 2, count, *out) < 0:
             raise MemoryError
-        return Paths(tried, off, squares)
+        return tried, off, squares
 
     def gap(self, points: Array, pose: Array) -> Array:
         """What contact points and pose are off the goal, in sizes and rad."""

@@ -205,14 +205,10 @@ class _Search:
         aim = self.aim
         z = _starts(n, batch).copy()
         z[n:] = 0.5 ** (batch % 4) * aim.unit * z[n:] + aim.far / n
-        paths = aim.search(z, min(COARSE, 0.1 * self.near), self.near)
-        self.nearest = min(self.nearest, float(paths.off.min()))
-        for k in sorted(
-            np.flatnonzero(paths.off < self.near), key=lambda k: _length(paths.z[:, k])
-        ):
-            route = self._route_near(paths.z[:, k])
-            if route is not None:
-                yield route
+        z, off, _ = aim.search(z, min(COARSE, 0.1 * self.near), self.near)
+        self.nearest = min(self.nearest, float(off.min()))
+        found = sorted(z[:, off < self.near].T, key=_length)
+        yield from filter(None, map(self._route_near, found))
 
     def _route_near(self, z: Array, steps: int = 20) -> _Route | None:
         """The route near a path; None if Newton's method finds none.
@@ -221,16 +217,16 @@ class _Search:
         its end is brought to the goal with derivatives by differences.
         """
         try:
-            path = self.aim.search(z[:, None], SHARP, NEARER, steps=steps)
-            z, squares = path.z[:, 0], path.squares[:, :, 0]
-            if not path.off[0] < NEAR:
+            paths, off, squares = self.aim.search(z[:, None], SHARP, NEARER, steps=steps)
+            z = paths[:, 0]
+            if not off[0] < NEAR:
                 return None
             scene, gap = self._planned(z)
             if np.linalg.norm(gap) > REACHED:
                 z = self._corrected(z)
                 scene, gap = self._planned(z)
-            off = float(np.linalg.norm(gap))
-            return _Route(z, scene, off, squares) if off <= REACHED else None
+            residual = float(np.linalg.norm(gap))
+            return _Route(z, scene, residual, squares[..., 0]) if residual <= REACHED else None
         except ContactSystemError:  # such as a path through a pole
             return None
 
