@@ -78,7 +78,8 @@ def test_names_are_drawn_as_they_are(tmp_path):
     matplotlib = pytest.importorskip("matplotlib")
     words = [r"costs $\foo$ and $5", r"$\bar{x$", r"half \frac{ of $x$"]  # no mathematics
     contact = cs.Contact(finger=FINGER, object_at=(0.3, 0.2), name=words[1])
-    scene = _scene(cs.Sphere(0.1), name=words[0], description=words[2])
+    broken = words[2].replace(" ", "\n")  # and in one line
+    scene = _scene(cs.Sphere(0.1), name=words[0], description=broken)
     scene = scene.replace(contacts=[contact])
     with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text
         plots.plot(cs.plan(scene), tmp_path / "odd.svg")

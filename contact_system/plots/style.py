@@ -36,7 +36,8 @@ NUMBER: Any = {"linestyle": "none", "marker": "$1$", "markersize": 7, "color": C
 
 
 def shortened(text: str, width: int) -> str:
-    """The text, cut to the width with an ellipsis; dollar signs are escaped."""
+    """The text in one line, cut to the width with an ellipsis; dollar signs are escaped."""
+    text = " ".join(text.split())
     text = text if len(text) <= width else text[: width - 1].rstrip() + "…"
     return text.replace("$", r"\$")
 
