@@ -49,9 +49,9 @@ def middle_where_no_worker_dies(mark: Path, plan: cs.Plan) -> dict[str, np.ndarr
     return middle(plan)
 
 
-def middle_of_all_but_one(plan: cs.Plan) -> dict[str, np.ndarray]:
-    """`middle`, but the worker that meets the second scene of the family dies, whenever it does."""
-    if any(abs(c.object_at[0] - 0.91) < 1e-9 for c in plan.scene.contacts):
+def middle_of_all_but_one(mark: Path, plan: cs.Plan) -> dict[str, np.ndarray]:
+    """`middle`, but workers that meet the second scene of the family die until there is a mark."""
+    if not mark.exists() and any(abs(c.object_at[0] - 0.91) < 1e-9 for c in plan.scene.contacts):
         os.kill(os.getpid(), signal.SIGKILL)
     return middle(plan)
 
@@ -351,9 +351,13 @@ def test_nothing_is_lost_with_a_worker_that_is_killed(tmp_path):
 
 
 @needs_kill
-def test_a_scene_that_kills_its_workers_fails_alone():
+def test_a_scene_that_kills_its_workers_fails_alone_and_is_tried_again_later(tmp_path):
+    evaluate = functools.partial(middle_of_all_but_one, tmp_path / "mark")
+    options = {"folder": tmp_path / "results", "chunk": 1}
     with spawned() as pool:
-        found = cs.sweep(family(4), middle_of_all_but_one, pool, chunk=1)
+        found = cs.sweep(family(4), evaluate, pool, **options)
     assert found.table["scene"].tolist() == [0, 2, 3]
     assert [failure.scene for failure in found.failures] == [1]
     assert "BrokenProcessPool" in found.failures[0].error
+    (tmp_path / "mark").touch()
+    assert len(cs.sweep(family(4), evaluate, **options).table) == 4

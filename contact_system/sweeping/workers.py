@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import os
 import pickle
@@ -21,7 +22,8 @@ def spread(
     """Run chunks on an executor, at most ``ahead`` at a time.
 
     Chunks lost with a worker run again at the end, together. Those that are lost again then run one
-    at a time; the scenes of one that is lost even so become failures.
+    at a time; the scenes of one that is lost even so become failures, which no file keeps: the next
+    sweep tries them again, perhaps with more memory.
     """
     lost: Iterable[Chunk] = chunks
     with contextlib.closing(_Crew(executor, run)) as crew:
@@ -37,6 +39,7 @@ def spread(
             if not isinstance(part, Part):
                 places = enumerate(chunk.items, chunk.first)
                 part = Part(NOTHING, [a_failure(*placed, part) for placed in places])
+                chunk = dataclasses.replace(chunk, file=None)
             yield chunk, part
 
 
