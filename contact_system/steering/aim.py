@@ -95,11 +95,6 @@ class Aim:
         """Least number of legs with as many unknowns as equations."""
         return (1 + (5 if self.pose is not None else 2 * len(self.sides))) // 2
 
-    @property
-    def in_closed_form(self) -> bool:
-        """Whether both bodies are spheres or planes."""
-        return not self._followers
-
     def search(
         self, z: Array, tolerance: float, reached: float, steps: int = 40
     ) -> tuple[Array, Array, Array]:

@@ -20,10 +20,11 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
 
     None for other goals, and if it is not shorter than ``below``, m along s.
     """
-    flat = [is_plane(body) for body in aim.bodies]
-    if flat[0] == flat[1] or not aim.in_closed_form or aim.pose is None or aim.is_pose:
+    pairs = zip(aim.bodies, reversed(aim.bodies))
+    kinds = [body.great_circles and is_plane(other) for body, other in pairs]
+    if not any(kinds) or aim.pose is None or aim.is_pose:
         return None
-    ball, plane = flat.index(False), flat.index(True)
+    ball, plane = kinds.index(True), kinds.index(False)
     r, psi = aim.sizes[ball], aim.angles[0]
     if below <= max(4 * math.pi * r / aim.pace, aim.far):
         return None
@@ -68,13 +69,9 @@ def _turn_of_ball(aim: Aim, side: int) -> tuple[complex, complex]:
     (_, frame0), (_, frame1) = aim.start[side], aim.goal[side]
     mirror = np.array([1.0, 1.0, aim.bodies[side].sign])  # p, q and x: left-handed in a bowl
     turn = (frame0 * mirror).T @ (frame1 * mirror)
-    x, y, z, w = _quaternion(turn)
-    return complex(w, z), aim.sizes[side] * complex(y, -x)
-
-
-def _quaternion(turn: np.ndarray) -> list[float]:
-    """x, y, z, w of a rotation matrix (Bar-Itzhack, 2000); scipy's takes 0.3 s to import."""
-    trace = np.trace(turn)
-    axis = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+    # to a quaternion by Bar-Itzhack (2000), as scipy's takes 0.3 s to import
+    trace, odd = np.trace(turn), turn - turn.T
+    axis = [odd[2, 1], odd[0, 2], odd[1, 0]]
     k = np.block([[turn + turn.T - trace * np.eye(3), np.c_[axis]], [np.r_[axis, trace]]])
-    return np.linalg.eigh(k)[1][:, -1].tolist()
+    x, y, z, w = np.linalg.eigh(k)[1][:, -1].tolist()
+    return complex(w, z), aim.sizes[side] * complex(y, -x)

@@ -44,12 +44,10 @@ class Goal:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        for key in ("object_at", "finger_at"):
-            if getattr(self, key) is not None:
-                put(self, key, pair(getattr(self, key), key))
-        for key in ("object_within", "finger_within"):
-            if getattr(self, key) is not None:
-                put(self, key, _region(getattr(self, key), key))
+        for side in ("object", "finger"):
+            for key, checked in ((f"{side}_at", pair), (f"{side}_within", _region)):
+                if (given := getattr(self, key)) is not None:
+                    put(self, key, checked(given, key))
         if self.angle is not None:
             put(self, "angle", finite_number(self.angle, "angle"))
         places = self.object_at is not None, self.finger_at is not None
