@@ -77,34 +77,28 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
+    scene, planned, method, results = _common()
     scenes = commands.add_parser("scenes", help="list the bundled scenes")
     scenes.set_defaults(run=_scenes)
 
-    run = commands.add_parser("run", help="plan a scene, measure its slip, write and draw results")
-    _add_scene(run)
-    _add_method(run)
-    folder = "folder for the results; default results/NAME"
-    run.add_argument("--out", type=Path, metavar="DIR", help=folder)
-    run.add_argument("--no-plots", action="store_true", help="draw no pictures")
+    text = "plan a scene, measure its slip, write and draw results"
+    run = commands.add_parser("run", help=text, parents=[scene, planned, method, results])
     run.set_defaults(run=_run)
 
-    explain = commands.add_parser("explain", help="which way the planner takes, and why")
-    _add_scene(explain)
-    _add_method(explain)
+    text = "which way the planner takes, and why"
+    explain = commands.add_parser("explain", help=text, parents=[scene, planned, method])
     explain.set_defaults(run=_explain)
 
-    steer = commands.add_parser("reach", help="find legs that take a scene's contacts to goals")
-    _add_scene(steer)
+    text = "find legs that take a scene's contacts to goals"
+    steer = commands.add_parser("reach", help=text, parents=[scene, planned, results])
     text = 'a goal, such as "object_at = [2, 1], angle = 0.5"; one a contact, "" where it rests'
     steer.add_argument("--to", action="append", required=True, metavar="GOAL", help=text)
     text = "look so many seconds for a shorter route; default %(default)g"
     steer.add_argument("--seconds", type=float, default=0.0, metavar="X", help=text)
-    steer.add_argument("--out", type=Path, metavar="DIR", help=folder)
-    steer.add_argument("--no-plots", action="store_true", help="draw no pictures")
     steer.set_defaults(run=_reach)
 
-    show = commands.add_parser("explore", help="a scene in the browser, with sliders")
-    show.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
+    text = "a scene in the browser, with sliders"
+    show = commands.add_parser("explore", help=text, parents=[scene])
     text = "port of the page; 0: any that is free; default %(default)d"
     show.add_argument("--port", type=_port, default=8080, metavar="N", help=text)
     text = "folder for scenes that are saved; default results/NAME"
@@ -120,23 +114,25 @@ def _gain_parameters() -> Iterable[str]:
     return dict.fromkeys(law.parameter for law in LAWS.values())
 
 
-def _add_scene(parser: argparse.ArgumentParser) -> None:
-    """Arguments for the scene, and how exactly it is planned."""
-    parser.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
-    parser.add_argument("--gain", choices=tuple(LAWS), help="gain law instead of the scene's")
-    number = parser.add_mutually_exclusive_group()
+def _common() -> list[argparse.ArgumentParser]:
+    """Arguments of several commands: the scene; how it is planned; by which method; its results."""
+    scene, planned, method, results = (argparse.ArgumentParser(add_help=False) for _ in range(4))
+    scene.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
+    planned.add_argument("--gain", choices=tuple(LAWS), help="gain law instead of the scene's")
+    number = planned.add_mutually_exclusive_group()
     for name in _gain_parameters():
         laws = " and ".join(key for key, law in LAWS.items() if law.parameter == name)
         text = f"{name} of the gain law {laws}; default: the number of the scene's own law"
         number.add_argument(f"--{name}", type=float, metavar="X", help=text)
     text = "error of contact points over the body's size; default %(default)g"
-    parser.add_argument("--tolerance", type=float, default=1e-12, metavar="X", help=text)
-
-
-def _add_method(parser: argparse.ArgumentParser) -> None:
+    planned.add_argument("--tolerance", type=float, default=1e-12, metavar="X", help=text)
     text = "auto: the cheapest exact way; chart: the paper's equations by scipy"
-    parser.add_argument("--method", choices=METHODS, default="auto", help=text)
-    parser.add_argument("--compiled", action="store_true", help=argparse.SUPPRESS)  # ignored
+    method.add_argument("--method", choices=METHODS, default="auto", help=text)
+    method.add_argument("--compiled", action="store_true", help=argparse.SUPPRESS)  # ignored
+    text = "folder for the results; default results/NAME"
+    results.add_argument("--out", type=Path, metavar="DIR", help=text)
+    results.add_argument("--no-plots", action="store_true", help="draw no pictures")
+    return [scene, planned, method, results]
 
 
 def _add_foreign(commands: Any, words: Sequence[str]) -> None:
