@@ -123,11 +123,10 @@ def rejections(plan: Plan) -> list[Rejection]:
     require_plan(plan)
     changes = _monotonic(plan.scene)
     edges = np.array([e for e in plan.scene.edges if e > plan.start])
-    knots = [plan.start, *changes[changes > plan.start], plan.end]
     disturbed = {w for i in range(len(plan.scene.contacts)) for w in windows(plan, i)}
     inside = [np.linspace(start, min(stop, plan.end), 65) for start, stop in disturbed]
-    times = [plan.sample_times(1001), knots, edges, np.nextafter(edges, plan.start), *inside]
-    t = each_once(*times)
+    times = [changes[changes > plan.start], np.nextafter(edges, plan.start), *inside]
+    t = each_once(plan.sample_times(1001), *times)
     slip = plan.slip_speed(t)
     since, level, last = _last_slip(plan, t, slip)
     reported = math.nan
@@ -163,10 +162,9 @@ def _last_slip(plan: Plan, t: np.ndarray, slip: np.ndarray) -> tuple[np.ndarray,
 
 
 def _monotonic(scene: Scene) -> np.ndarray:
-    """Times, s, between which undisturbed slip only grows or only shrinks."""
+    """Times, s, between which undisturbed slip only grows or only shrinks on a leg."""
     times = set()
     for start, stop, _, profile, _ in {s for i in range(len(scene.contacts)) for s in scene.way(i)}:
-        times |= {start, stop}
         if profile != STILL:
             intervals = contraction(profile, scene.gain, stop - start).intervals
             times |= {start + t for interval in intervals for t in interval}
