@@ -256,18 +256,17 @@ class _Search:
 
     def _shorter(self, route: _Route, legs: int | None, until: float) -> _Route:
         """The shortest route found until a time: routes from more starts, each one shortened."""
-        if time.perf_counter() >= until:
-            return route
-        best = self._shortened(route, until)
+        best, batch = self._shortened(route, until), STARTS[0] // LANES
         counts = range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,)
-        for batch in itertools.count(STARTS[0] // LANES):
+        while time.perf_counter() < until:
             for route in itertools.chain(*(self._routes(n, batch) for n in counts)):
-                if time.perf_counter() >= until:
-                    return best
                 route = self._shortened(route, until)
                 if route.length < best.length and self._stays(route):
                     best = route
-        raise AssertionError
+                if time.perf_counter() >= until:
+                    break
+            batch += 1
+        return best
 
     def _shortened(self, route: _Route, until: float) -> _Route:
         """The route shortened by steps in the null space of J, until its length is a minimum."""
