@@ -186,10 +186,10 @@ class _Search:
                 for route in filter(self._stays, self._routes(n, batch)):
                     shorter = None if legs else self._four_rolls(route.length)
                     how = f"{n} leg{'s' * (n > 1)}, {(batch + 1) * LANES} starts"
-                    return self._shorter(shorter or route, legs, until), how
+                    return self._shorter(shorter or route, counts, until), how
             explicit = self._four_rolls(math.inf) if legs in (None, MOST_LEGS) else None
             if explicit is not None:
-                return self._shorter(explicit, legs, until), f"four rolls, after {last} starts"
+                return self._shorter(explicit, counts, until), f"four rolls, after {last} starts"
             if counts[0] < self.aim.fewest or self._alike():
                 break
         raise SceneError(self._refusal(counts, last))
@@ -254,10 +254,9 @@ class _Search:
 
     # --- shorter ones ---------------------------------------------------------------------------
 
-    def _shorter(self, route: _Route, legs: int | None, until: float) -> _Route:
+    def _shorter(self, route: _Route, counts: Sequence[int], until: float) -> _Route:
         """The shortest route found until a time: routes from more starts, each one shortened."""
         best, batch = self._shortened(route, until), STARTS[0] // LANES
-        counts = range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,)
         while time.perf_counter() < until:
             for route in itertools.chain(*(self._routes(n, batch) for n in counts)):
                 route = self._shortened(route, until)
