@@ -7,7 +7,6 @@ import textwrap
 import threading
 import time
 from collections.abc import Iterable, Sequence
-from typing import TextIO
 
 
 def paragraph(text: str) -> str:
@@ -29,13 +28,12 @@ def table(
 
 
 class Progress:
-    """A progress bar of named steps on stderr or another stream: on terminals, after a second."""
+    """A progress bar of named steps on stderr: on terminals, after a second."""
 
     DELAY, WIDTH = 1.0, 24
 
-    def __init__(self, steps: int, name: str, stream: TextIO | None = None):
-        self.steps, self.done, self.name = steps, 0, name
-        self.stream = sys.stderr if stream is None else stream
+    def __init__(self, steps: int, name: str):
+        self.steps, self.done, self.name, self.stream = steps, 0, name, sys.stderr
         self.began, self.finished = time.monotonic(), threading.Event()
 
     def step(self, name: str) -> None:

@@ -212,12 +212,14 @@ class _Terminal(io.StringIO):
 
 def test_progress_is_drawn_on_a_terminal_only_and_only_when_it_takes_long(monkeypatch):
     terminal, pipe = _Terminal(), io.StringIO()
-    with cli.Progress(2, "quick", terminal):
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with cli.Progress(2, "quick"):
         pass
     assert terminal.getvalue() == ""
     monkeypatch.setattr(cli.Progress, "DELAY", 0.0)
     for stream in (terminal, pipe):
-        with cli.Progress(2, "first", stream) as progress:
+        monkeypatch.setattr(sys, "stderr", stream)
+        with cli.Progress(2, "first") as progress:
             progress.step("second")
             progress.finished.wait(0.25)
     assert pipe.getvalue() == ""

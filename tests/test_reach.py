@@ -134,7 +134,7 @@ def test_a_sphere_on_a_plane_never_takes_longer_than_four_rolls():
         route = cs.reach(start, goal)
         assert route.residual <= 1e-12 and route.length <= ahead * (1 + 1e-9)
     far = cs.Goal(object_at=(30.0, 0.0), finger_at=(2.0, -1.0), angle=1.0)
-    assert cs.reach(start, far).residual <= 1e-12  # no random start comes near
+    assert cs.reach(start, far).residual <= 1e-12
 
 
 LOOPS = [(*pair[:2], 0.7, "rolling") for pair in PAIRS.values()]
