@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from fractions import Fraction
 from math import pi
@@ -271,11 +272,11 @@ def test_states_beside_a_pole_are_those_of_the_point_and_lose_no_turn(name, asid
         assert np.abs(np.diff(psi - v)).max() < 0.5  # at this pole both turn alike
 
 
-def test_states_at_a_pole_are_refused():
-    for v in np.linspace(0.1, 3.0, 30):
+def test_states_and_moving_frames_at_a_pole_are_refused():
+    for v, name in itertools.product(np.linspace(0.1, 3.0, 30), ("states", "carried")):
         plan = cs.plan(rolled_over(cs.Sphere(0.1), 0.7, v=v))
         with pytest.raises(cs.ChartSingularity, match="contact 0: Sphere.*pole"):
-            plan.states(0.7)
+            plan.evaluate(0.7, name)
     scenes = [rolled_over(cs.Sphere(0.1), u, v=v).replace(duration=0.7) for u in (0.7, 0.7, 0.9)]
     found = cs.sweep(scenes).table["state_end"]
     assert found[1, 4:6] == pytest.approx([0.0, v], abs=1e-6)  # of a moment before

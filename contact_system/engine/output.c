@@ -119,7 +119,8 @@ static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, co
     const double lost = LOST * LOST * b->size * b->size;
     SIMD for (int i = 0; i < L; i++) {
       const double rate = z[DU][i] * z[DU][i] + z[DV][i] * z[DV][i];
-      z[V][i] = lost * rate > v[0][i] * v[0][i] + v[1][i] * v[1][i] ? NAN : z[V][i];
+      const double none = lost * rate > v[0][i] * v[0][i] + v[1][i] * v[1][i] ? NAN : 0.0;
+      z[V][i] += none, z[THETA][i] += none;
     }
   }
   for (int j = 0; j < 2 && any(k->offset); j++)

@@ -117,7 +117,7 @@ def _swept(motion: Motion, contact: int, parts: int) -> np.ndarray:
         own = span * (turn - np.sin(turn)) / (2 * math.pi)
         t.append(leg.start + own)
         paces.append(leg.profile(own) * span * (1 - np.cos(turn)))
-    results: Any = motion.evaluate(np.concatenate(t), (FRAMES, "carried"))
+    results: Any = motion.evaluate(np.concatenate(t), (FRAMES, "carried"), gaps=True)
     frames, velocity = (results[name][:, contact] for name in (FRAMES, "carried"))
     p, q, k = frames[..., 3:6], frames[..., 6:9], frames[..., 9:]
     way = np.concatenate(paces)[:, None, None] * velocity[..., 1:]  # along p and q of each body
