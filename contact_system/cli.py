@@ -57,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = _parser(words).parse_args(words)
         code = args.run(args)
-        sys.stdout.flush()
+        print(end="", flush=True)  # sys.stdout is None where it was closed
         return code
     except KeyboardInterrupt:
         print(f"{PROGRAM}: interrupted", file=sys.stderr)

@@ -132,7 +132,9 @@ class _Reader:
                 return self.read(node.operand, depth + 1)
             case ast.Attribute():
                 raise self.fail(node, f"write {node.attr} without the module before it")
-        raise self.fail(node, "only arithmetic and known functions are allowed in a formula")
+        raise self.fail(
+            node, 'only arithmetic and known functions; a list is written as ["2*pi/3", "pi/2"]'
+        )
 
     def number(self, node: ast.Constant) -> float:
         if isinstance(node.value, bool) or not isinstance(node.value, (int, float)):

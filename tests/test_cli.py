@@ -235,3 +235,5 @@ def test_a_reader_that_has_read_enough_is_no_error():
     ended = subprocess.run(command, stdout=writes, stderr=subprocess.PIPE, text=True)
     os.close(writes)
     assert (ended.returncode, ended.stderr) == (0, "")
+    ended = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *command], stderr=subprocess.PIPE)
+    assert (ended.returncode, ended.stderr) == (0, b"")  # nor is one that was never there

@@ -330,6 +330,7 @@ def test_arithmetic_texts_are_numbers():
         ("c = 0.1", "c = 0.1\ninside = 1", ["object", "inside = 1", "true or false"]),
         ('radius = "4e-2"', "radus = 1", ["contacts[0]", "finger", "'radus'", "'radius'"]),
         ('"2*pi/3"', '"2*pii/3"', ["contacts[0]", "object_at[0]", "pii", "pi"]),
+        ('"2*pi/3"', '"2, 1"', ["formula '2, 1'", 'a list is written as ["2*pi/3", "pi/2"]']),
         ('"2*pi/3"', "120", ["contacts[0]: object_at: 120 rad", '"120*pi/180"']),
         ('"2*pi/3"', "0", ["scene 'good'", "contacts[0] 'thumb'", "object_at = (0.0,"]),
         ('kind = "object rate offset"', 'kind = "object rate"', ["disturbances[0]", "kind"]),
@@ -402,7 +403,7 @@ def test_files_that_are_no_text_are_refused(tmp_path):
         with pytest.raises(SceneError, match="cannot be read: it is a folder, a device"):
             load_scene(path)
     (tmp_path / "x.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(SceneError, match="cannot be read"):
+    with pytest.raises(SceneError, match="cannot be read: .*; give a TOML file in UTF-8"):
         load_scene(tmp_path / "x.toml")
 
 

@@ -374,7 +374,7 @@ def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
             f"{', '.join(bundled)}"
         ) from None
     except (OSError, ValueError) as error:  # unreadable, no text, or an impossible name
-        raise SceneError(f"'{name}' cannot be read: {error}; give a TOML text file") from None
+        raise SceneError(f"'{name}' cannot be read: {error}; give a TOML file in UTF-8") from None
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
