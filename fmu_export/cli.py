@@ -9,7 +9,7 @@ from typing import Any
 
 from contact_system import ContactSystemError, load_scene
 from contact_system.cli import file_name
-from contact_system.terminal import Progress, paragraph
+from contact_system.terminal import Progress
 
 from .build import PLATFORMS
 from .description import INTERFACES, VERSIONS
@@ -66,10 +66,8 @@ def run(args: argparse.Namespace) -> int:
     if args.check:
         print(f"{path} is within {check_fmu(path):.1e} of its reference results")
     print(
-        paragraph(
-            f"wrote {path}: {path.stat().st_size / 1000:.0f} kB, FMI {args.fmi}, "
-            f"{' and '.join(args.interfaces)}, for {', '.join(args.platforms)}; "
-            f"{time.monotonic() - began:.1f} s"
-        )
+        f"wrote {path}: {path.stat().st_size / 1000:.0f} kB, FMI {args.fmi}, "
+        f"{' and '.join(args.interfaces)}, for {', '.join(args.platforms)}; "
+        f"{time.monotonic() - began:.1f} s"
     )
     return 0
