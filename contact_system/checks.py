@@ -14,10 +14,12 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import limits
 from .errors import ContactSystemError, SceneError
 
+Array = NDArray[np.float64]
 FLOAT = np.dtype(float)
 LARGEST = 1e100  # beyond this sigma^3 overflows
 

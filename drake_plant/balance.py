@@ -15,18 +15,16 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 from pydrake.multibody.tree import SpatialInertia
 from pydrake.solvers import ClarabelSolver, LorentzConeConstraint, MathematicalProgram
 
 from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
-from contact_system.checks import shaped_array
+from contact_system.checks import Array, shaped_array
 
 from .config import StationConfig
-
-Array = NDArray[np.float64]
 
 MARGIN = 0.8
 """Of a friction cone, so that facets and feedback leave what is measured below 90 %."""

@@ -40,12 +40,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.geometry import ContactSurface, GeometryId
 from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from contact_system import Plane, Scene, SceneError, Surface
+from contact_system.checks import Array
 from contact_system.contact_sensor import ON_OBJECT, SLIP, STATES, VELOCITY, ContactSensor
 from contact_system.scene import require_scene
 from contact_system.scene.contact import rolled
@@ -58,8 +58,6 @@ from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs
 from .pressing import contact_depth
 from .scratch import FingerTables, PerThread, named
-
-Array = NDArray[np.float64]
 
 TINY = sys.float_info.min
 TOLERANCE = 1e-7

@@ -18,7 +18,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
@@ -26,6 +25,7 @@ from pydrake.multibody.tree import BodyIndex, world_index
 from pydrake.systems.framework import Context, LeafSystem
 
 from contact_system import Scene, SceneError
+from contact_system.checks import Array
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
@@ -37,7 +37,6 @@ from .plant import ScenePlant, declare_plant_inputs
 from .scratch import FingerTables, PerThread, halves, named, split
 from .tip_law import CONSTANT, SHARE, TIP, tip_constants, tip_wrench
 
-Array = NDArray[np.float64]
 ROUNDING = 1e-9
 """Of a time that is a sum of steps."""
 OFF = 1e-4

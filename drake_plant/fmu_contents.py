@@ -11,10 +11,8 @@ from typing import Any
 import fmpy
 import numpy as np
 
-from contact_system.checks import require_regular, within
+from contact_system.checks import Array, require_regular, within
 from contact_system.errors import ContactSystemError
-
-Array = np.ndarray
 
 
 def read_description(fmu: Path, folder: Path) -> Any:

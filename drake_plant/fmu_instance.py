@@ -26,12 +26,11 @@ from fmpy.simulation import (
 )
 
 from contact_system.archives import opened
-from contact_system.checks import a_path, did_you_mean, within
+from contact_system.checks import Array, a_path, did_you_mean, within
 from contact_system.errors import ContactSystemError
 
 from .fmu_contents import PortVariables, carried, library_of, read_description, size_of
 
-Array = np.ndarray
 Names = str | Sequence[str]
 Given = Iterable[tuple[PortVariables, Array]]
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from contact_system.checks import Array
 
 from .balance import balancing_forces, friction_used, needed_wrench, way_to
 from .config import StationConfig, require_config
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs, gravity_on
-
-Array = NDArray[np.float64]
 
 COLUMNS = {"contact_forces": slice(0, 3), "normal_force": slice(3, 4), "friction_used": slice(4, 5)}
 

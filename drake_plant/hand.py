@@ -5,13 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from contact_system import SceneError
 from contact_system.checks import finite_number, finite_numbers
-
-Array = NDArray[np.float64]
 
 
 class Part(NamedTuple):

@@ -15,10 +15,10 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
 from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
+from contact_system.checks import Array
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
@@ -30,8 +30,6 @@ from .plant import ScenePlant, declare_plant_inputs
 from .reorientation import Reorientation
 from .scratch import FingerTables, PerThread, named
 from .tip_law import CONSTANT, TIP, WANTED, tip_constants, tip_wrench
-
-Array = NDArray[np.float64]
 
 POSTURE = 30.0  # 1/s, omega
 CORRECTION = 8.0  # 1/s, of what the object is off its path

@@ -18,7 +18,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.geometry import GeometrySet
 from pydrake.math import RigidTransform
 from pydrake.multibody.inverse_kinematics import InverseKinematics
@@ -35,13 +34,11 @@ from pydrake.multibody.tree import (
 from pydrake.solvers import SnoptSolver
 
 from contact_system import Scene, SceneError, Sphere
-from contact_system.checks import did_you_mean
+from contact_system.checks import Array, did_you_mean
 from contact_system.contact_sensor import NORMAL, ON_FINGER, ON_OBJECT, ContactSensor
 
 from .balance import way_to
 from .hand import Hand, own_hand
-
-Array = NDArray[np.float64]
 
 POSTURE, ON_PAD = 0.3, 1.0  # how strongly free joints go to the middles of ranges and pads
 NEAR = 0.02  # of what grows towards limits, where it ends

@@ -25,7 +25,7 @@ import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, DependencyTicket, ValueProducer
 
-Array = np.ndarray
+from contact_system.checks import Array
 
 NO_DICTIONARY: tuple[str, ...] = ()
 """``__slots__`` of a system; its attributes go into its base's dictionary."""

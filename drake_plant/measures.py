@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from contact_system import Scene, plan
+from contact_system.checks import Array
 from contact_system.measures import REJECTED, windows
 
 from .config import require_config
@@ -22,7 +23,6 @@ from .simulation import CONTINUOUS, NEAR, HandResult, SimulationResult, simulate
 if TYPE_CHECKING:
     from .config import Push
 
-Array = NDArray[np.float64]
 
 EDGE = 0.1
 """Time after the start, and before and after a disturbance's edge, that counts as transient [s]."""

@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
+from contact_system.checks import Array
 from contact_system.engine.binding import run
 from contact_system.errors import SurfaceError
 from contact_system.surfaces import (
@@ -44,7 +45,6 @@ from contact_system.surfaces import (
 )
 from contact_system.surfaces.base import RAY
 
-Array = NDArray[np.float64]
 Triangles = NDArray[np.int64]
 
 WHOLE = 10_000  # triangles; above, a strip saves time to build (a query takes as long with it)

@@ -9,14 +9,12 @@ time, from where a simulation began or last restarted.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contact_system import Plan, Scene, SceneSystem
 from contact_system import plan as make_plan
+from contact_system.checks import Array
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
 from contact_system.scene import refuse_rest
-
-Array = NDArray[np.float64]
 
 CLEARANCE = 0.01
 """Distance from a chart's singularity, as a fraction of the body's size, that is refused."""

@@ -9,6 +9,7 @@ import numpy as np
 from pydrake.systems.framework import LeafSystem
 
 from contact_system import Plan, SceneError, SceneSystem
+from contact_system.checks import Array
 from contact_system.engine.binding import run
 from contact_system.plan import require_plan
 from contact_system.system import system_table
@@ -16,8 +17,6 @@ from contact_system.theory.development import moving
 
 from .lifetimes import NO_DICTIONARY
 from .planner_base import PlannerBase, scene_system
-
-Array = np.ndarray
 
 PLANNED = {name: name for name in ("slip", "twist", "pose")}
 PLANNED |= {"state": "states", "contact_point": "points"}

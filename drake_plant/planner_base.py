@@ -12,6 +12,7 @@ from pydrake.math import RigidTransform_, RotationMatrix_
 from pydrake.systems.framework import BasicVector_
 
 from contact_system import SceneSystem
+from contact_system.checks import Array
 
 from .lifetimes import NO_DICTIONARY, weakly
 from .scalars import select
@@ -33,7 +34,6 @@ PORTS = {
 MOTION = {"pose": 12} | {name: PORTS[name] for name in PORTS if name not in ("state", "slip")}
 """What a FingertipDriver takes of each contact, one after the other, on one port."""
 
-Array = np.ndarray
 
 # What is derived from a scene is large: planners of the same one share it.
 scene_system = functools.lru_cache(maxsize=16)(SceneSystem)

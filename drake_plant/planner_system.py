@@ -21,7 +21,7 @@ from pydrake.systems.framework import (
 )
 
 from contact_system import Plan, Scene
-from contact_system.checks import finite_number
+from contact_system.checks import Array, finite_number
 from contact_system.errors import SceneError
 from contact_system.planning.starts import on_branch
 
@@ -44,7 +44,6 @@ NEARBY = 10 * CLEARANCE
 """Where the distance from a chart's singularity is watched more closely."""
 RESTING = 1e-3
 """Of the greatest sigma, up to which a contact is at rest, or almost."""
-Array = np.ndarray
 
 
 def _restart_period(scene: Scene, period: float | None, distance: float | None) -> float | None:

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.geometry import (
     AddCompliantHydroelasticProperties,
@@ -73,6 +72,7 @@ from contact_system import (
     Torus,
     Turning,
 )
+from contact_system.checks import Array
 from contact_system.errors import ContactSystemError
 from contact_system.plots.style import BODY, colour_of
 
@@ -81,8 +81,6 @@ from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mes
 from .hand_kinematics import add_hand
 from .meshes import Domain, SurfaceMesh, contact_mesh, domain_of
 from .pressing import Touch, check_depth, contact_depth, touches_of
-
-Array = NDArray[np.float64]
 
 # Gap that opens along an edge, in depths. What a facet stands off the surface ripples with the
 # period of the mesh, and a patch of radius a averages the ripple with the weight J1(q a)/(q a),

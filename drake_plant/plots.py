@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contact_system import Plan, plan
+from contact_system.checks import Array
 from contact_system.plots import Picture, contact_keys, draw_title, shade_windows
 from contact_system.plots.bodies import best_view, draw_body, is_hidden
 from contact_system.plots.curves import curve_of
@@ -23,8 +23,6 @@ from contact_system.plots.style import DISTURBED, INK, RECOVERY, colour_of
 from .config import require_config
 from .measures import hand_report, misses, path_slid
 from .simulation import HandResult, SimulationResult
-
-Array = NDArray[np.float64]
 
 SMOOTH = 0.02  # s over which the bold line of a rippling signal is averaged
 BOLD = f"bold: mean of {1e3 * SMOOTH:g} ms"

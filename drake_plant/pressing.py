@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contact_system import (
     Cylinder,
@@ -23,13 +22,11 @@ from contact_system import (
     Torus,
 )
 from contact_system import plan as make_plan
-from contact_system.checks import naming
+from contact_system.checks import Array, naming
 from contact_system.measures import CONFORMS, relative_curvature
 from contact_system.theory import symbols as ca
 
 from .config import StationConfig
-
-Array = NDArray[np.float64]
 
 SPACING = 0.0025  # m, of points along the plan that show where contacts go
 LINE = 1e-6  # of the greatest relative curvature: less is a line, straight but for rounding

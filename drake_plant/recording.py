@@ -30,7 +30,7 @@ from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
 from contact_system import Scene, SceneError, plan
-from contact_system.checks import a_path, finite_number
+from contact_system.checks import Array, a_path, finite_number
 from contact_system.measures import windows
 from contact_system.plots.style import DISTURBED, INK, colour_of
 from contact_system.writing import writing
@@ -41,7 +41,6 @@ from .plant import ScenePlant, model_names
 if TYPE_CHECKING:
     from .simulation import SimulationResult
 
-Array = NDArray[np.float64]
 Acting = tuple[int | None, float, float]
 
 FILM = "/drake/film"

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.tree import SpatialInertia
@@ -20,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from contact_system import Ellipsoid, Goal, Scene, SceneError, Sphere, reach
 from contact_system import plan as make_plan
-from contact_system.checks import naming, rigid_motion, shaped_array
+from contact_system.checks import Array, naming, rigid_motion, shaped_array
 from contact_system.contact_sensor import FOUND, NORMAL, ON_FINGER, ON_OBJECT, SLIP, STATES
 
 from .balance import balancing_forces, friction_used, needed_wrench
@@ -29,8 +28,6 @@ from .hand import Hand
 from .hand_kinematics import Chains
 from .plant import AddScenePlant, solid_inertia
 from .pressing import rolling_scene
-
-Array = NDArray[np.float64]
 
 STEPS = 16  # of a plan at least, from the start of the motion to its end
 ACCURATE = 1e-7  # error of a step, in units of the joints

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from contact_system import SceneSystem
+from contact_system.checks import Array
 from contact_system.engine.binding import Machine
 from contact_system.system import SystemMachine
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
-
-Array = np.ndarray
 
 
 class Scratch:

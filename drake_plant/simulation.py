@@ -13,13 +13,12 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, EventStatus
 from scipy.interpolate import make_interp_spline
 
 from contact_system import ContactSystemError, Scene, SceneError, plan
-from contact_system.checks import a_path, finite_number
+from contact_system.checks import Array, a_path, finite_number
 from contact_system.scene import scene_to_toml
 from contact_system.writing import writing
 
@@ -31,8 +30,6 @@ from .plant import ScenePlant
 from .recording import Recording
 from .reorientation import Reorientation, plan_reorientation
 from .station import BuildHandStation, SetInitialState, build
-
-Array = NDArray[np.float64]
 
 PLANNED = ("state", "slip", "contact_point")
 BALANCED = ("normal_force", "friction_used")

@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
@@ -25,7 +24,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
-from contact_system.checks import finite_number
+from contact_system.checks import Array, finite_number
 
 from .balance import pressed_config
 from .config import Push, StationConfig, body_names, check_pushes, checked, require_config
@@ -42,8 +41,6 @@ from .planner_system import ContactPlanner
 from .plant import AGES, AddScenePlant, ScenePlant, turning_angle
 from .pressing import contact_depth, depth_between, rolling_scene
 from .reorientation import Reorientation
-
-Array = NDArray[np.float64]
 
 MOTIONS = "body_poses", "body_spatial_velocities"
 STARTED = {"planner": PlannerBase, "driver": FingertipDriver, "plant": MultibodyPlant}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.math import RotationMatrix
 from pydrake.trajectories import PiecewisePolynomial, PiecewisePose, PiecewiseQuaternionSlerp
 from scipy.interpolate import CubicSpline
@@ -14,8 +13,6 @@ from scipy.spatial.transform import Rotation
 from contact_system import Plan, SceneError
 from contact_system.checks import finite_number
 from contact_system.plan import require_plan
-
-Array = NDArray[np.float64]
 
 FIRST, MOST = 64, 2**17
 """Pieces of a trajectory at first, and the most before a tolerance is refused."""

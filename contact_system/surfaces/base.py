@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import finite_number, of_kind, real_array, shaped_array
+from ..checks import Array, finite_number, of_kind, real_array, shaped_array
 from ..engine.binding import SURFACES, SurfaceData, builtin, run
 from ..errors import ChartSingularity, SurfaceError
 from ..kept import kept
@@ -31,7 +31,7 @@ from ..theory.geometry import (
     chart_geometry,
 )
 from ..theory.lowering import lowered
-from .charts import Array, Chart, Frame, Pair, Periods
+from .charts import Chart, Frame, Pair, Periods
 
 # There is no contact frame where a diagonal entry of the metric root is below this fraction of the
 # surface's size. A pole given with 16 digits has 1e-16, a point 1e-9 rad away from it 1e-9.

@@ -10,12 +10,10 @@ import math
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..theory import symbols as ca
 from ..theory.geometry import contact_frame
 
-Array = NDArray[np.float64]
 Pair: TypeAlias = "tuple[ca.SX, ca.SX]"
 Frame: TypeAlias = "tuple[ca.SX, ca.SX, ca.SX]"
 Periods = tuple[float | None, float | None]

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..checks import shaped_array
+from ..checks import Array, shaped_array
 from ..errors import SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
 from .base import store
-from .charts import TURN, Array, Chart, Pair
+from .charts import TURN, Chart, Pair
 from .cylinder import RoundCylinderChart
 from .ellipsoid import SecondDegree, ellipsoid_chart, require_thick
 from .plane import FlatChart

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import finite_number, finite_numbers
+from ..checks import Array, finite_number, finite_numbers
 from ..engine.binding import leave, run
 from ..errors import ContactSystemError, SurfaceError
 from ..kept import kept
@@ -21,7 +21,7 @@ from ..theory import symbols as ca
 from ..theory.geometry import ChartGeometry, contact_frame, tangent_geometry
 from ..theory.symbols import making_symbols
 from .base import RAY, Surface, positive_length, store
-from .charts import TURN, Array, Chart, Frame, Pair, Periods, hypot
+from .charts import TURN, Chart, Frame, Pair, Periods, hypot
 from .formula import Formula, make_formula
 from .sphere import PolarChart
 
