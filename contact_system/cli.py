@@ -16,7 +16,8 @@ import math
 import os
 import sys
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -283,20 +284,29 @@ def _write(args: argparse.Namespace, stem: Path, shown: Plan, other: Plan | None
         which = f"{len(singular)} sample times from t = {singular[0]!r} to {singular[-1]!r} s"
         which = which if len(singular) > 1 else f"t = {singular[0]!r} s"
         lines = [f"left out of the files: {which}; at a pole or an umbilic there are no states"]
+    draw = None if args.no_plots else partial(plots.plot, shown, other=other)
+    print(*lines, *written(stem, partial(shown.save, times=regular), draw), sep="\n")
+
+
+def written(
+    stem: Path, save: Callable[[Path], None], draw: Callable[[Path], None] | None
+) -> list[str]:
+    """Save results as .npz and .csv, and draw a .png; returns a line for each file."""
+    lines = []
     with Progress(3, "writing") as progress:
         for suffix, following in ((".npz", "writing"), (".csv", "drawing")):
             path = stem.with_name(stem.name + suffix)
-            shown.save(path, regular)
+            save(path)
             lines.append(f"wrote {path}")
             progress.step(following)
-        if not args.no_plots:
+        if draw is not None:
             path = stem.with_name(stem.name + ".png")
             try:
-                plots.plot(shown, path, other)
+                draw(path)
                 lines.append(f"wrote {path}")
             except plots.MissingMatplotlib as error:
                 lines.append(f"no picture: {error}")
-    print(*lines, sep="\n")
+    return lines
 
 
 # --- report ------------------------------------------------------------------------------------

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contact_system import SceneError, load_scene
-from contact_system.cli import file_name, results_folder
+from contact_system.cli import file_name, results_folder, written
 from contact_system.measures import REJECTED
-from contact_system.plots import MissingMatplotlib
 from contact_system.terminal import Progress, paragraph, table
 
 # Drake takes a second to import, so functions import what needs it: help lists the command, too
@@ -44,12 +43,13 @@ def register(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate, tell, write; returns the exit code."""
     from .config import StationConfig
+    from .plots import plot
     from .simulation import simulate
 
     scene = load_scene(args.scene)
     config = StationConfig.from_scene(scene, **dict(map(_setting, args.set)))
     stem = results_folder(args, scene) / f"{file_name(scene)}-drake"
-    recording = None if args.no_recording else stem.with_suffix(".html")
+    recording = None if args.no_recording else stem.with_name(f"{stem.name}.html")
     duration = scene.duration if args.until is None else args.until
     with Progress(TICKS, "building") as progress:
 
@@ -63,9 +63,7 @@ def run(args: argparse.Namespace) -> int:
         if config.pushes and config.closed_loop and config.hand is None:
             opened = simulate(scene, config.opened(), duration, progress=advance)
     print("\n".join(_told(result, opened)))
-    with Progress(3, "writing") as progress:
-        for line in _written(result, opened, stem, progress):
-            print(line)
+    print(*written(stem, result.save, partial(plot, result, opened=opened)), sep="\n")
     if recording is not None:
         print(f"wrote {recording}")
     return 0
@@ -81,23 +79,6 @@ def _setting(text: str) -> tuple[str, Any]:
         return name, tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return name, value.strip()
-
-
-def _written(
-    result: SimulationResult, opened: SimulationResult | None, stem: Path, progress: Progress
-) -> Iterable[str]:
-    """Write logs and picture; yields a line for each file, and for what is left out."""
-    from . import plots
-
-    for suffix in (".npz", ".csv"):
-        result.save(stem.with_suffix(suffix))
-        yield f"wrote {stem.with_suffix(suffix)}"
-        progress.step("drawing" if suffix == ".csv" else "writing")
-    try:
-        plots.plot(result, stem.with_suffix(".png"), opened=opened)
-        yield f"wrote {stem.with_suffix('.png')}"
-    except MissingMatplotlib as error:
-        yield f"no picture: {error}"
 
 
 # --- telling -----------------------------------------------------------------------------------

@@ -196,21 +196,23 @@ def run(*words: object) -> int:
 
 def test_d1_runs_tells_and_writes(tmp_path, capsys):
     pytest.importorskip("matplotlib")
-    assert run("D1", "--until", 0.03, *POINT, "--out", tmp_path) == 0
+    cs.save_scene(cs.load_scene("D1").replace(name="D1.2"), scene := tmp_path / "scene.toml")
+    assert run(scene, "--until", 0.03, *POINT, "--out", tmp_path) == 0
+    scene.unlink()
     out = capsys.readouterr().out
     assert "point contact" in out and "times real time" in out and "finger 3" in out
     names = {p.name for p in tmp_path.iterdir()}
-    assert names == {f"D1-drake.{s}" for s in ("npz", "csv", "png", "html")}
+    assert names == {f"D1.2-drake.{s}" for s in ("npz", "csv", "png", "html")}
     assert all(f"wrote {tmp_path / name}" in out for name in names)
     assert "nan" not in out  # too short a run to measure a steady force
     assert "No disturbance is over by the end" in out
-    with np.load(tmp_path / "D1-drake.npz") as logs:
+    with np.load(tmp_path / "D1.2-drake.npz") as logs:
         assert logs["measured_normal_force"].shape == (len(logs["t"]), 3)
         assert logs["planned_state"].shape == (len(logs["t"]), 3, 9)
         assert np.isfinite(logs["measured_slip"]).all()
         count = len(logs["t"])
     assert count == 16  # every 2 ms
-    rows = list(csv.reader((tmp_path / "D1-drake.csv").open()))
+    rows = list(csv.reader((tmp_path / "D1.2-drake.csv").open()))
     assert len(rows) == 1 + 3 * count and all(len(row) == len(rows[0]) for row in rows)
 
 
