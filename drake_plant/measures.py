@@ -6,7 +6,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,9 @@ from contact_system import Scene, plan
 from contact_system.checks import Array
 from contact_system.measures import REJECTED, windows
 
-from .config import require_config
+from .config import Push, body_names, require_config
 from .contact_monitor import SATURATED
 from .simulation import CONTINUOUS, NEAR, HandResult, SimulationResult, simulate
-
-if TYPE_CHECKING:
-    from .config import Push
-
 
 EDGE = 0.1
 """Time after the start, and before and after a disturbance's edge, that counts as transient [s]."""
@@ -281,7 +277,7 @@ def push_table(result: SimulationResult) -> list[PushReport]:
     """What each push of a simulation did, in the order of time."""
     require_config(result, SimulationResult, "result")
     pushes = sorted(result.config.pushes, key=lambda push: push.start)
-    names = [result.scene.contact_name(i) for i in range(len(result.scene.contacts))]
+    names = body_names(result.scene)
     apart = np.linalg.norm(misses(result), axis=2)
     slips, away, reports = path_slid(result), time_off(result), []
     for push in pushes:

@@ -134,15 +134,12 @@ class ChartDomain:
     def base(self, size: float) -> tuple[Array, Triangles]:
         """A grid of ``size`` squares to the longer side, halved by diagonals."""
         nu, nv = (max(3, round(size * w)) for w in self._length)
-        shape = nv + (not self._closed[1]), nu + (not self._closed[0])
-        row, column = np.indices(shape)
+        row, column = np.indices(np.array([nv, nu]) + ~self._closed[::-1])
         q = np.stack([column / nu, row / nv], axis=-1).reshape(-1, 2)
-        i, j = (w.ravel() for w in np.meshgrid(np.arange(nu), np.arange(nv)))
-        a, b, c, d = (
-            (j + y) % shape[0] * shape[1] + (i + x) % shape[1]
-            for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))
-        )
-        triangles = np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
+        seams = [(0, closed) for closed in self._closed[::-1]]
+        grid = np.pad(np.arange(len(q)).reshape(row.shape), seams, mode="wrap")
+        a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+        triangles = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
         return self._first + q * self._sides, triangles
 
 
