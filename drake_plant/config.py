@@ -34,17 +34,11 @@ CHOICES = {
 }
 EDGES = ("finger_edge", "object_edge")
 GAINS = ("position_gain", "velocity_gain", "normal_damping", "rotation_gain", "spin_gain")
-NUMBERS = {
-    "above 0": (
-        *("object_mass", "finger_mass", "stiffness", "normal_force"),
-        *("friction_share", "object_rate", *EDGES, "restart_period"),
-    ),
-    "not below 0": (
-        *("time_step", "friction", "gravity", *GAINS, "slip_gain", "restart_distance"),
-    ),
-}
 RESTARTS = ("restart_period", "restart_distance")
-OPTIONAL = (*EDGES, *RESTARTS)
+ABOVE_0 = {  # of other numbers none is below 0
+    *("object_mass", "finger_mass", "stiffness", "normal_force", "friction_share", "object_rate"),
+    *(*EDGES, "restart_period"),
+}
 HANDS_ONLY = ("turn", "move")
 TIPS_ONLY = ("object_rate", "coordinates", "disturbance_input", *RESTARTS)  # that are free
 
@@ -248,15 +242,14 @@ class StationConfig:
 
     def check(self, scene: Scene) -> None:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
-        for key, words in CHOICES.items():
-            value = getattr(self, key)
-            if value is None and key in ("coordinates", "forces"):
+        for f in dataclasses.fields(self):
+            value = getattr(self, f.name)
+            if value is None and f.type in (float | None, str | None):
                 continue
-            one_of(value, words, key)
-        for bound, keys in NUMBERS.items():
-            for key in keys:
-                if getattr(self, key) is not None or key not in OPTIONAL:
-                    finite_number(getattr(self, key), key, bound)
+            if f.type in (float, float | None):
+                finite_number(value, f.name, "above 0" if f.name in ABOVE_0 else "not below 0")
+            elif f.name in CHOICES:
+                one_of(value, CHOICES[f.name], f.name)
         flag(self.disturbance_input, "disturbance_input")
         if self.friction_share > 1:
             raise SceneError(f"friction_share = {self.friction_share!r}: give a part, at most 1")
