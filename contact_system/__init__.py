@@ -7,13 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from .contact_sensor import measured_states
-from .errors import (
-    ChartSingularity,
-    ConformalContact,
-    ContactSystemError,
-    SceneError,
-    SurfaceError,
-)
+from .errors import ChartSingularity, ConformalContact, ContactSystemError, SceneError, SurfaceError
 from .measures import Rejection, great_circle_distance, rejections, summary
 from .plan import Plan, load, plan
 from .scene import (

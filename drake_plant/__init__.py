@@ -23,14 +23,7 @@ if TYPE_CHECKING:
     from .force_balancer import ForceBalancer
     from .hand import Hand
     from .hand_driver import HandDriver
-    from .measures import (
-        HandReport,
-        contact_table,
-        hand_report,
-        object_report,
-        outcome,
-        push_table,
-    )
+    from .measures import HandReport, contact_table, hand_report, object_report, outcome, push_table
     from .plan_source import PlanSource
     from .planner_system import ContactPlanner
     from .plant import AddScenePlant, ScenePlant

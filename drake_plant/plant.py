@@ -339,15 +339,8 @@ def _add_object(
     inertia = SpatialInertia.SolidSphereWithMass(config.object_mass, surface.size)
     if config.object == "free":
         inertia = solid_inertia("object", surface, config.object_mass, mesh)
-    return _add_body(
-        plant,
-        "object",
-        inertia,
-        shape,
-        properties,
-        domain,
-        rgba(BODY[1], OPACITY if surface.inside else 1.0),
-    )
+    colour = rgba(BODY[1], OPACITY if surface.inside else 1.0)
+    return _add_body(plant, "object", inertia, shape, properties, domain, colour)
 
 
 def _add_finger(

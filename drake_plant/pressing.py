@@ -190,10 +190,8 @@ def touches_of(scene: Scene) -> list[Touch]:
             what, remedy = "overlap", "make the finger smaller, or plan contact where the object is"
             remedy += " less concave"
             if least >= -line:
-                what, remedy = (
-                    "touch along a line or a face",
-                    "turn the finger, or take another one",
-                )
+                what = "touch along a line or a face"
+                remedy = "turn the finger, or take another one"
             raise SceneError(
                 f"contact {i}: finger and object {what} where they are planned to touch (the "
                 f"least relative curvature is {least:.3g} 1/m); {remedy}"

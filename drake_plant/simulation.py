@@ -280,11 +280,7 @@ class Run:
         self.root = self._simulator.get_mutable_context()
 
     def follow(
-        self,
-        duration: float,
-        period: float,
-        progress: Callable[[float], None] | None,
-        asked: Asked,
+        self, duration: float, period: float, progress: Callable[[float], None] | None, asked: Asked
     ) -> tuple[Array, dict[str, Array], dict[str, Array]]:
         """Simulate to the end; returns times, what was said then, also of the object's pose, and
         what was measured.

@@ -72,11 +72,7 @@ class _Slave:
     component: Any = None
 
     def __init__(
-        self,
-        scene: Scene,
-        name: str = "",
-        logger: Logger | None = None,
-        **described: Any,
+        self, scene: Scene, name: str = "", logger: Logger | None = None, **described: Any
     ):
         require_scene(scene)
         logger = function_or_none(logger, "logger", "a function of a status, a category and a text")

@@ -24,12 +24,7 @@ from ..engine.binding import SURFACES, SurfaceData, builtin, run
 from ..errors import ChartSingularity, SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
-from ..theory.geometry import (
-    QUANTITIES,
-    ROWS,
-    ChartGeometry,
-    chart_geometry,
-)
+from ..theory.geometry import QUANTITIES, ROWS, ChartGeometry, chart_geometry
 from ..theory.lowering import lowered
 from .charts import Chart, Frame, Pair, Periods
 
