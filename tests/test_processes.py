@@ -18,7 +18,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 WORK = """
-import hashlib, itertools, os, random, signal, sys, threading, time
+import hashlib, itertools, os, pathlib, random, signal, sys, threading, time
 import numpy as np
 
 OUTPUTS = ("points", "states", "slip", "twist")
