@@ -361,14 +361,14 @@ static void search(search_t *w, int64_t count, double (*z)[L]) {
       for (int i = 0; i < n; i++) most = fmax(most, fabs(x[i]));
       for (int i = 0; i < n; i++) {
         w->tried[i][l] = z[i][l] - (i < w->legs ? 1.0 : aim->unit) * x[i] / most;
-        if (met) z[i][l] = w->tried[i][l];
+        if (met && most <= 1.0) z[i][l] = w->tried[i][l];
       }
     }
   }
 }
 
 /* Improves directions and lengths z[2 n][L] of `count` trials until some end at the goal, as near as
-   is asked for; these take a last step then. Before that step: how far off they end; the squares of
+   is asked for; these take a last step then, unless it is a long one. Before that step: how far off they end; the squares of
    the equations' slopes, [2 n][2 n][L]. Returns how many arrive, or -1 without memory. */
 static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z)[L], double *off,
                      double *squares) {
