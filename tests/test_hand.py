@@ -19,6 +19,7 @@ from drake_plant import Hand, StationConfig, hand_report, plan_reorientation, si
 from drake_plant.hand import own_hand
 from drake_plant.measures import object_report
 from drake_plant.simulation import simulate_hand
+from drake_plant.station import BuildHandStation
 
 H2 = cs.load_scene("H2")
 
@@ -107,12 +108,14 @@ def test_a_model_of_a_hundredth_of_the_mass_moves_as_the_own_hand(tmp_path, monk
     text = re.sub(
         "(<mass>|<i..>|<effort>|<damping>|'drake'>)([^<]+)",
         lambda found: f"{found[1]}{0.01 * float(found[2])}",
-        AROUND.replace("finger_0_joint_1", "object"),
+        AROUND.replace("finger_0_joint_1", "object").replace(
+            '<link name="palm">', '<link name="palm"><pose>0 0 0.02 0 0 0</pose>'
+        ),
     )
     contacts = [dataclasses.replace(c, name=x) for c, x in zip(H2.contacts, ("hand", "b", "c"))]
     light = {key: 0.01 * H2.drake[key] for key in ("object_mass", "finger_mass", "stiffness")}
     light |= {"normal_force": 0.02, "contact_model": "point", "hand": in_file(tmp_path, text)}
-    light["hand"]["model"] = "package://light/mine.sdf"
+    light["hand"] |= {"model": "package://light/mine.sdf", "base": [0, 0, -0.13]}
     plan = made(H2.replace(contacts=contacts), **light)
     np.testing.assert_allclose(plan.q, made(contact_model="point").q, atol=1e-6)
     told = hand_report(simulate(plan.scene, duration=0.3))
@@ -153,6 +156,26 @@ def test_slip_of_a_pushed_finger_is_fed_back():
         hand_report(simulate_hand(made(**changes, slip_gain=gain), 0.2)) for gain in (0.0, 800.0)
     )
     assert closed.slipped[0] < 0.7 * open_loop.slipped[0] and open_loop.slipped[0] > 1e-3
+
+
+def test_fed_back_slip_is_a_force_at_the_tip_within_the_limits_of_the_joints():
+    plan = made(slip_gain=300.0, contact_model="point")
+    station, parts = BuildHandStation(plan)
+    root, R_WO = station.CreateDefaultContext(), RotationMatrix.MakeZRotation(0.5)
+    bodies = parts.plant.GetMyMutableContextFromRoot(root)
+    parts.plant.SetFreeBodyPose(bodies, parts.object_body, RigidTransform(R_WO))
+    driver = station.GetSubsystemByName("driver")
+    context = driver.GetMyMutableContextFromRoot(root)
+    slip = np.array([[0.01, -0.02, 0.015], [0.0, 0.03, 0.01], [-0.02, 0.0, 0.01]])
+    found = []
+    for scale in (0.0, 1.0, 1e4):
+        driver.GetInputPort("sliding").FixValue(context, scale * slip.ravel())
+        found.append(driver.GetOutputPort("torque").Eval(context))
+    plan.chains.put(plan.q[0])
+    force = plan.config.finger_mass * 300.0 * slip @ R_WO.matrix().T
+    wanted = sum(plan.chains.jacobian(i)[3:].T @ f for i, f in enumerate(force))
+    np.testing.assert_allclose(found[1] - found[0], wanted, atol=1e-9)
+    assert np.abs(found[2]).max() == 0.7
 
 
 @pytest.mark.parametrize("model", ["point", "hydroelastic"])
