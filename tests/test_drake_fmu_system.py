@@ -413,6 +413,11 @@ def test_a_simulation_can_be_run_again(build, version, options):
         simulator = connected(system)
         simulator.AdvanceTo(2 * STEP)
         assert values(system, simulator.get_context()).tolist() == [0.5 + 4 * STEP, -8 * STEP]
+    simulator.AdvancePendingEvents()  # which a Simulator that goes on from there would do too
+    other = Simulator(system, simulator.get_context().Clone())
+    if not options:
+        other.AdvanceTo(4 * STEP)
+        assert values(system, other.get_context()).tolist() == [0.5 + 8 * STEP, -16 * STEP]
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -102,6 +102,7 @@ def test_a_value_that_is_no_scene_is_told_and_the_picture_stays(tmp_path):
 def test_what_can_be_turned_gives_a_scene_or_an_error_that_says_why(name):
     scene = cs.load_scene(name)
     for slider in sliders_of(scene):
+        assert slider.low <= slider.value <= slider.high and slider.low < slider.high, slider.label
         for value in (slider.low, slider.value, slider.high):
             made = slider.made(value)
             try:
