@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import io
 import math
@@ -71,6 +72,16 @@ def test_scenes_planned_together_are_where_each_alone_is(windows):
     table = cs.sweep(scenes, middle, chunk=5).table
     assert table["scene"].tolist() == list(range(7)) and not table["contact"].any()
     assert table["states"] == pytest.approx(one_by_one(scenes, "states"), abs=1e-11)
+
+    def refused(plan):
+        if 3 in places(plan):
+            raise ValueError("not with this one")
+        return middle(plan)
+
+    found = cs.sweep(scenes, refused)
+    assert [failure.scene for failure in found.failures] == [3]
+    assert np.array_equal(found.table["scene"], [0, 1, 2, 4, 5, 6])
+    assert found.table["states"] == pytest.approx(np.delete(table["states"], 3, 0), abs=1e-11)
 
 
 def test_scenes_that_have_nothing_in_common_keep_their_order():
@@ -339,11 +350,20 @@ def spawned() -> ProcessPoolExecutor:
     return ProcessPoolExecutor(2, mp_context=get_context("spawn"))
 
 
+@contextlib.contextmanager
+def of_dask():
+    distributed = pytest.importorskip("distributed")
+    cluster = distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None)
+    with cluster, distributed.Client(cluster) as client:
+        yield client.get_executor()
+
+
 @needs_kill
-def test_nothing_is_lost_with_a_worker_that_is_killed(tmp_path):
+@pytest.mark.parametrize("workers", [spawned, of_dask])
+def test_nothing_is_lost_with_a_worker_that_is_killed(workers, tmp_path):
     scenes = family(12)
     evaluate = functools.partial(middle_where_no_worker_dies, tmp_path / "killed")
-    with spawned() as pool:
+    with workers() as pool:
         found = cs.sweep(scenes, evaluate, pool, chunk=2)
     assert (tmp_path / "killed").exists() and not found.failures
     assert found.table["scene"].tolist() == list(range(12))
