@@ -47,16 +47,6 @@ def test_names_and_start_values_are_those_that_were_promised():
         assert table[name].name == name and table[name].start == (value,)
     velocity = table["contact[1].frame.velocity"].start
     assert np.hypot(*velocity) == pytest.approx(np.hypot(*scene.contacts[0].finger_velocity))
-    for name in (
-        *("contact[2].finger.u", "der(contact[2].finger.u)", "contact[2].angle"),
-        "der(contact[3].object.v)",
-        "contact[3].slip.x",
-        "contact[1].twist.angular.z",
-        "contact[1].pose.rotation[3,1]",
-        "contact[1].pose.position.x",
-        "contact[2].object.point.y",
-    ):
-        assert table[name].name == name and not table[name].start
 
 
 @of_versions
@@ -70,6 +60,7 @@ def test_units_follow_the_chart_and_are_made_of_base_units(version, written):
     }
     assert found["der(contact[1].object.v)"] == "m/s"  # of a cylinder
     assert found["contact[1].object.acceleration.u"] == "rad/s2"
+    assert found["contact[1].twist.angular.x"] == "rad/s"
     assert variable_table(K1)["gain.eta"].unit == (-2, 1, 0)  # s/m2, m s rad
 
 
@@ -218,7 +209,7 @@ def test_a_slave_says_what_it_can_do(version):
         assert (
             "ntermediateUpdate" not in Path(planner["filename"], "modelDescription.xml").read_text()
         )
-    assert read.modelExchange is None
+    assert read.fmiVersion == version and read.modelExchange is None
     assert read.coSimulation.canHandleVariableCommunicationStepSize
     assert not read.coSimulation.canInterpolateInputs
     with pytest.raises(cs.ContactSystemError, match="fmi_version = '1.0': give a text, one of"):
