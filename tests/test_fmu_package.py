@@ -139,16 +139,15 @@ def test_only_the_standards_functions_are_seen_outside():
 
 
 @pytest.mark.slow  # ziglang builds a C library for each when it is used first
-def test_every_platform_is_in_one_file_if_asked_for(tmp_path, monkeypatch):
+def test_platforms_are_in_one_file_if_asked_for(tmp_path, monkeypatch):
     pytest.importorskip("ziglang")
     quickly = "-O0", "-fno-sanitize=undefined"  # which ziglang adds to -O0
     monkeypatch.setattr(build, "FLAGS", (*build.FLAGS, *quickly))
-    path = export_fmu(cs.load_scene("C1"), tmp_path / "C1.fmu", "3.0", platforms=sorted(PLATFORMS))
+    rest = {*PLATFORMS} - {"x86_64-windows", "aarch64-linux", "wasm32"}  # which other tests run
+    path = export_fmu(cs.load_scene("C1"), tmp_path / "C1.fmu", "3.0", platforms=sorted(rest))
     names = zipfile.ZipFile(path).namelist()
-    for platform in PLATFORMS.values():
-        assert any(n.startswith(f"binaries/{platform.folder_3}/") for n in names)
-    fmu = Fmu.unpacked(path, tmp_path / "C1")
-    assert b"\0C1.dll\0" in fmu.library("x86_64-windows").read_bytes()
+    for platform in rest:
+        assert any(n.startswith(f"binaries/{PLATFORMS[platform].folder_3}/") for n in names)
 
 
 @pytest.mark.parametrize(
@@ -160,6 +159,8 @@ def test_another_platform_finds_the_same_trajectory(target, version, tmp_path):
     scene = cs.load_scene("K2")
     path = export_fmu(scene, tmp_path / "K2.fmu", version, platforms=("native", target))
     fmu = Fmu.unpacked(path, tmp_path / "K2")
+    if "windows" in target:
+        assert b"\0K2.dll\0" in fmu.library(target).read_bytes()
     asked = re.findall(rb"GLIBC_2\.(\d+)", fmu.library(target).read_bytes())
     assert all(int(minor) <= 17 for minor in asked)  # it loads where Linux is old
     arguments = ("0.01", "100", *fmu.model_arguments(fmu.outputs))

@@ -46,7 +46,10 @@ def test_ten_lines_of_python_print_what_the_readme_shows():
 
 PAGES_WITH_CODE = sorted(p for p in (README.parent / "docs").glob("*.md") if blocks("python", p))
 NEEDS = {"drake": "pydrake", "hands": "pydrake", "fmu": "fmpy"}
-BRIEFLY = {"hands": ("simulate_hand(plan)", "simulate_hand(plan, duration=0.1)")}
+BRIEFLY = {
+    "drake": ("duration=0.1", "duration=0.02"),
+    "hands": ("simulate_hand(plan)", "simulate_hand(plan, duration=0.1)"),
+}
 
 
 @pytest.mark.parametrize("page", PAGES_WITH_CODE, ids=lambda page: page.stem)
