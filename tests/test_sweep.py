@@ -80,7 +80,6 @@ def test_scenes_planned_together_are_where_each_alone_is(windows):
 
     found = cs.sweep(scenes, refused)
     assert [failure.scene for failure in found.failures] == [3]
-    assert np.array_equal(found.table["scene"], [0, 1, 2, 4, 5, 6])
     assert found.table["states"] == pytest.approx(np.delete(table["states"], 3, 0), abs=1e-11)
 
 
