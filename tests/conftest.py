@@ -165,8 +165,7 @@ _ROUND = {"finger_velocity": (0.491, -1.0), "object_velocity": (-0.179, 1.0)}
 PAST_UMBILICS = [
     _past("one", (0.3, 0.2, 0.1), _AT, -2.5355341811604113, 0.3, 5.0, 2.5, (0.5, 0.3)),
     _past("pairs", (0.3, 0.10001, 0.1), (1.28, -0.36), -0.91, 0.3, 5.0, 3.4, (0.5, 0.3)),
-    # y changes its sign at 0.3 ms and, over a seam, at 0.117 s: within one step that follows it
     _past("round", (0.3, 0.2, 0.1), (7e-5, 1.337), 0.0, 0.052, 5.6, 2.5, (0.05, 0.03), **_ROUND),
 ]
-"""Past one umbilic at 0.6 mm, four that are in pairs 1.3 mm apart, and round one at 0.2 mm;
-the window's components are those of the branch that the path has come to."""
+"""Past one umbilic at 0.6 mm, four that are in pairs 1.3 mm apart, and round one at 0.2 mm, where y
+changes its sign at 0.3 and 117 ms; the window's components are those of the branch come to."""

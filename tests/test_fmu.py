@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import PAST_UMBILICS, derivative, one_contact
+from conftest import derivative, one_contact
 
 import contact_system as cs
 
@@ -103,15 +103,6 @@ def test_times_past_the_scenes_duration_are_planned_too(kind, version):
     one = Instance(K1, kind, version).begin()
     one.step(0.7, 1.3)
     close(one.states(), cs.plan(K1.replace(duration=2.0), 1e-14).states(2.0)[0])
-
-
-@pytest.mark.parametrize("scene", PAST_UMBILICS, ids=lambda scene: scene.name)
-@pytest.mark.parametrize("step", [0.05, 0.4])
-def test_paths_close_to_umbilics_stay_on_their_branch(scene, step):
-    plan, one = cs.plan(scene, 1e-14), Instance(scene, "slave", "2.0").begin()
-    for _ in range(round(4.0 / step)):
-        one.step(step)
-        close(one.states(), plan.states(min(one.time, 4.0))[0], 1e-8)
 
 
 @pytest.mark.parametrize(

@@ -98,25 +98,6 @@ def test_psi_is_psi_0_less_the_angles_of_the_parallel_frames(rolling):
 # --- twist
 
 
-def test_twist_is_angular_velocity_then_velocity_of_the_fingers_origin_in_the_objects_frame():
-    # A ball of radius r on the plane z = 0, its contact point moving along +x at sigma.
-    r, sigma = 0.1, 0.3
-    scene = one_contact(
-        "plane",
-        "sphere",
-        angle=0.0,
-        finger_at=(pi / 2, 0.0),
-        duration=0.4,
-        finger_velocity=(1.0, 0.0),
-        object_velocity="rolling",
-        profile=(sigma,),
-    )
-    plan = cs.plan(scene)
-    assert plan.twist(0.2)[0, 0] == pytest.approx([0.0, sigma / r, 0.0, sigma, 0.0, 0.0], abs=1e-14)
-    centre = plan.pose(0.2)[0, 0, :3, 3]
-    assert centre == pytest.approx([0.1 + 0.2 * sigma, -0.05, r], abs=1e-15)
-
-
 def test_twist_has_no_spin_about_the_normal():
     plan = cs.plan(one_contact("ellipsoid", "torus"))
     normals = SURFACES["ellipsoid"][0].normal(*plan.states(T)[:, 0, 4:6].T)

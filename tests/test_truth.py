@@ -77,24 +77,3 @@ def test_a_ball_between_plates_goes_half_as_fast(model):
     simulator.AdvanceTo(0.1)
     speed = ball.EvalSpatialVelocityInWorld(context).translational()[0]
     assert speed == pytest.approx(0.05, abs=1e-5)
-
-
-def test_hydroelastic_patches_resist_rolling_in_proportion_to_the_step():
-    """Drake's own doing, and why a ball on a level plane comes to rest; points do not resist."""
-    lost = [1 - drake("plane", "hydroelastic", h).v[0] / 0.5 for h in (1e-3, 5e-4)]
-    assert lost[0] / lost[1] == pytest.approx(2.0, rel=0.1)
-    assert drake("plane", "point", 1e-3).v[0] == pytest.approx(0.5, rel=1e-9)
-
-
-def test_balls_in_mujoco_follow_geodesics_and_hold_in_the_friction_cone():
-    pytest.importorskip("mujoco")
-    from benchmarks import truth_mujoco
-
-    every = {method.name: method for method in truth_mujoco.METHODS}
-    for name in ("sphere", "triaxial geodesic"):
-        coarse, fine = (
-            truth_mujoco.run(name, every["elliptic, Newton"], h).error for h in (2e-3, 1e-3)
-        )
-        assert fine < 3e-3 and 1.5 < coarse / fine < 4.5
-    still = truth_mujoco.run("creep", every["elliptic, Newton, noslip 3"], 1e-3)
-    assert still.error < 1e-9
