@@ -74,7 +74,7 @@ def test_a_disturbance_acts_within_a_leg_of_its_own_profile():
 
 def test_legs_are_kept_in_files_and_by_each_contact(tmp_path):
     custom = cs.Leg(0.1, None, 1.0, cs.Profile([0.0, 0.1, -0.1]))
-    first = scene(OBJECTS["ellipsoid"], (*LEGS, custom), name="turns")
+    first = scene(OBJECTS["ellipsoid"], np.array([*LEGS, custom]), name="turns")
     cs.save_scene(first, tmp_path / "turns.toml")
     assert cs.load_scene(tmp_path / "turns.toml") == first
     straight = cs.Contact(cs.Sphere(0.04), (1.0, 0.3))

@@ -134,8 +134,7 @@ class Contact:
                 f'object_velocity = "{self.object_velocity}" does not determine; '
                 "give object_velocity as two numbers"
             )
-        if self.legs != ():
-            put(self, "legs", all_of(Leg, self.legs, "legs", "Leg"))
+        put(self, "legs", all_of(Leg, self.legs, "legs", "Leg"))
         if self.legs and self.follows:
             raise SceneError(
                 'finger_velocity = "rolling" follows one geodesic of the object and takes no '

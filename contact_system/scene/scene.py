@@ -26,6 +26,7 @@ from .contact import Contact, Pair, Turning, a_text, all_of
 from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
 from .legs import STILL, Stretch, check_legs, length, speed
 
+KINDS = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
 NO_CLAIMS: Mapping[str, Any] = {"paper": {}, "chosen": ()}
 """Fields of a scene made from another one, of which the paper reports nothing."""
 
@@ -187,11 +188,8 @@ class Scene:
         put(self, "contacts", all_of(Contact, self.contacts, "contacts", "Contact"))
         if not self.contacts:
             raise SceneError("contacts = []: a scene needs at least one contact")
-        if self.disturbances != ():
-            names = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
-            put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", names))
-        if self.chosen != ():
-            put(self, "chosen", all_of(str, self.chosen, "chosen", "text"))
+        put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", KINDS))
+        put(self, "chosen", all_of(str, self.chosen, "chosen", "text"))
         for key in ("name", "description", "source"):
             a_text(getattr(self, key), key)
         for key in ("paper", "drake"):
