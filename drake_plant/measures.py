@@ -1,5 +1,4 @@
-"""What contact physics made of a plan, contact by contact, beside what the paper reports, and of a
-hand's."""
+"""Reports on a simulation: of each contact, pushed finger, object and hand, with verdicts."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Where a plan lets bodies touch and how they curve there, how deep contact presses them into each
-other, and what they roll on then."""
+"""Where bodies touch in a plan, how they curve there, and how deep contact presses them."""
 
 from __future__ import annotations
 
