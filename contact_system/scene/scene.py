@@ -22,7 +22,7 @@ from ..surfaces import Surface
 from ..surfaces.charts import fold_latitude
 from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
-from .contact import Contact, Pair, Turning, a_text, all_of
+from .contact import Contact, Turning, a_text, all_of
 from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
 from .legs import STILL, Stretch, check_legs, length, speed
 
@@ -253,8 +253,7 @@ class Scene:
 
     def _place_contacts(self) -> None:
         """Bring every contact's coordinates into the charts' regular range."""
-        placed: list[Contact] = []
-        turned: set[tuple[str, int]] = set()
+        contacts, turned = list(self.contacts), set[tuple[str, int]]()
         for i, contact in enumerate(self.contacts):
             for body, surface, given in (
                 ("object", self.object, contact.object_at),
@@ -265,38 +264,26 @@ class Scene:
                 except ContactSystemError as error:
                     name = f" '{contact.name}'" if contact.name else ""
                     raise SceneError(f"contacts[{i}]{name}: {body}_at = {given}: {error}") from None
-                if at != given:
-                    contact, half_turn = _moved(contact, surface, body, at)
-                    if half_turn:
-                        turned.add((body, i))
-            placed.append(contact)
-        object.__setattr__(self, "contacts", tuple(placed))
+                if at == given:
+                    continue
+                changes: dict[str, Any] = {f"{body}_at": at}
+                # a double cover has the same point at (u, v) and (-u, pi - v), with opposite axes
+                if surface.double_cover and fold_latitude(given[1])[1]:
+                    changes["angle"] = math.remainder(contacts[i].angle + math.pi, 2 * math.pi)
+                    velocity = getattr(contact, f"{body}_velocity")
+                    if not isinstance(velocity, str):
+                        changes[f"{body}_velocity"] = (-velocity[0], -velocity[1])
+                    turned.add((body, i))
+                contacts[i] = dataclasses.replace(contacts[i], **changes)
+        object.__setattr__(self, "contacts", tuple(contacts))
         if turned:
-            disturbances = [
+            disturbances = (
                 dataclasses.replace(d, value=(-d.value[0], -d.value[1]))
                 if (d.side, d.contact) in turned
                 else d
                 for d in self.disturbances
-            ]
+            )
             object.__setattr__(self, "disturbances", tuple(disturbances))
-
-
-def _moved(contact: Contact, surface: Surface, body: str, at: Pair) -> tuple[Contact, bool]:
-    """The contact with the coordinates `at` of the same point on one body.
-
-    Also returns whether both frame axes turn by pi: a double cover has the same point at (u, v) and
-    (-u, pi - v), with opposite axes.
-    """
-    key = f"{body}_at"
-    given: Pair = getattr(contact, key)
-    half_turn = surface.double_cover and fold_latitude(given[1])[1]
-    changes: dict[str, Any] = {key: at}
-    if half_turn:
-        changes["angle"] = math.remainder(contact.angle + math.pi, 2 * math.pi)
-        velocity = getattr(contact, f"{body}_velocity")
-        if not isinstance(velocity, str):
-            changes[f"{body}_velocity"] = (-velocity[0], -velocity[1])
-    return dataclasses.replace(contact, **changes), half_turn
 
 
 # --- keys of scene files -----------------------------------------------------------------------
