@@ -13,7 +13,7 @@ from ..checks import within
 from ..engine import binding
 from ..errors import SurfaceError
 from ..surfaces import Surface
-from ..theory.development import IN_CHART, IN_SPACE, prefers_space
+from ..theory.development import IN_CHART, IN_SPACE, in_space
 
 if TYPE_CHECKING:
     from .two_points import Pairs
@@ -48,7 +48,7 @@ class Follower:
     """
 
     def __init__(self, surface: Surface):
-        tables, self.space = surface.tables, prefers_space(surface)
+        tables, self.space = surface.tables, in_space(surface)
         names = ("restore", "second") if self.space else ("frame", "lame")
         group, order = (tables.ambient, IN_SPACE) if self.space else (tables.chart, IN_CHART)
         self.tables = [group[order.index(name)] for name in names]

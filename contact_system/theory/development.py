@@ -33,18 +33,14 @@ INPUTS = {"motion": 2, "coordinates": 2, "vector": 2, "geodesic": 4}
 """Sizes of further inputs after the state: a vector of the plane, or Jacobi fields."""
 
 
-def prefers_space(surface: Surface) -> bool:
-    """Whether bodies with this surface are planned in space, (x, p); else as (u, v, theta)."""
-    return surface.has_implicit and not surface.developable
-
-
-def in_space(surface: Surface, disturbed: bool) -> bool:
-    """Whether a body that may be disturbed is planned in space.
+def in_space(surface: Surface, disturbed: bool = False) -> bool:
+    """Whether a body is planned in space, (x, p); else as (u, v, theta).
 
     A disturbance has chart components. On a double cover (triaxial ellipsoid) their sign depends on
     the path's branch, which only the form in the chart knows.
     """
-    return prefers_space(surface) and not (disturbed and surface.double_cover)
+    in_chart = surface.developable or (disturbed and surface.double_cover)
+    return surface.has_implicit and not in_chart
 
 
 class Moving:

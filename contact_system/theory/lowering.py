@@ -25,7 +25,7 @@ from ..engine.binding import TableData
 from ..errors import ContactSystemError
 from ..kept import kept
 from . import symbols as ca
-from .development import IN_CHART, IN_SPACE, moving, prefers_space
+from .development import IN_CHART, IN_SPACE, in_space, moving
 from .geometry import geometry_function, inverse_function, ray_function
 from .symbols import making_symbols, per_structure
 
@@ -349,12 +349,12 @@ class SurfaceTables:
     @kept
     def ambient(self) -> tuple[Table | None, ...]:
         """State x, p: `development.IN_SPACE`."""
-        return self._moving(prefers_space(self.surface), True, IN_SPACE)
+        return self._moving(in_space(self.surface), True, IN_SPACE)
 
     @kept
     def chart(self) -> tuple[Table | None, ...]:
         """State u, v, theta: `development.IN_CHART`, for surfaces that may be planned so."""
-        wanted = self.surface.double_cover or not prefers_space(self.surface)
+        wanted = self.surface.double_cover or not in_space(self.surface)
         return self._moving(wanted, False, IN_CHART)
 
     def _moving(self, wanted: bool, ambient: bool, names: Sequence[str]) -> tuple[Any, ...]:
@@ -365,8 +365,8 @@ class SurfaceTables:
 
     @kept
     def geodesic(self) -> Table:
-        """A geodesic with its Jacobi fields, in space or in the chart as `prefers_space` says."""
-        return Table(moving(self.surface, prefers_space(self.surface))("geodesic"))
+        """A geodesic with its Jacobi fields, in space or in the chart as `in_space` says."""
+        return Table(moving(self.surface, in_space(self.surface))("geodesic"))
 
     @kept
     def other(self) -> tuple[Table | None, ...]:
