@@ -225,13 +225,11 @@ class Ellipsoid(OfLengths, SecondDegree):
     def __post_init__(self) -> None:
         super().__post_init__()
         axes = (self.a, self.b, self.c)
-        if not axes[0] >= axes[1] >= axes[2]:
-            axes_text, sorted_ = (
-                ", ".join(map(repr, w)) for w in (axes, sorted(axes, reverse=True))
-            )
+        ordered = tuple(sorted(axes, reverse=True))
+        if axes != ordered:
             raise SurfaceError(
-                f"Ellipsoid: semi-axes ({axes_text}) must satisfy a >= b >= c; write "
-                f"Ellipsoid({sorted_}), or Quadric for axes along other directions"
+                f"Ellipsoid: semi-axes {axes} must satisfy a >= b >= c; write "
+                f"Ellipsoid{ordered}, or Quadric for axes along other directions"
             )
         require_thick("Ellipsoid", self.a, self.c)
 
