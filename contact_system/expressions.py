@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -21,25 +21,23 @@ MOST_POWER = 1e6  # higher ones, such as x**(1e17), make edges that doubles cann
 CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
 
 Value: TypeAlias = "ca.SX | float"
-Meaning: TypeAlias = Sequence[Any]
-"""An operation on numbers, and the one on symbols."""
+Meaning: TypeAlias = tuple[int, Callable[..., Any], str]
+"""Number of arguments, the function of numbers, and CasADi's name of that of symbols."""
 
 
 def _sign(x: float) -> float:
     return float((x > 0) - (x < 0))
 
 
-def _alike(names: str, count: int) -> dict[str, tuple[int, Any, str]]:
+def _alike(names: str, count: int) -> dict[str, Meaning]:
     """Functions with the same name in Python's math and in CasADi."""
     return {name: (count, getattr(math, name), name) for name in names.split()}
 
 
-# name: (number of arguments, function of numbers, function of symbols or its name in CasADi)
-FUNCTIONS: dict[str, tuple[int, Any, Any]] = {
+FUNCTIONS: dict[str, Meaning] = {
     **_alike("sqrt sin cos tan asin acos atan exp log sinh cosh tanh", 1),
-    **_alike("atan2 copysign", 2),
-    "hypot": (2, math.hypot, lambda a, b: ca.sqrt(a * a + b * b)),
-    "pow": (2, math.pow, operator.pow),
+    **_alike("atan2 copysign hypot", 2),
+    "pow": (2, math.pow, "power"),  # of numbers: real, or an error
     "abs": (1, abs, "fabs"),
     "fabs": (1, abs, "fabs"),
     "fmin": (2, min, "fmin"),
@@ -48,11 +46,11 @@ FUNCTIONS: dict[str, tuple[int, Any, Any]] = {
 }
 
 _BINARY: dict[type[ast.operator], Meaning] = {
-    ast.Add: (operator.add, operator.add),
-    ast.Sub: (operator.sub, operator.sub),
-    ast.Mult: (operator.mul, operator.mul),
-    ast.Div: (operator.truediv, operator.truediv),
-    ast.Pow: (math.pow, operator.pow),  # of numbers: real, or an error
+    ast.Add: (2, operator.add, "plus"),
+    ast.Sub: (2, operator.sub, "minus"),
+    ast.Mult: (2, operator.mul, "times"),
+    ast.Div: (2, operator.truediv, "rdivide"),
+    ast.Pow: FUNCTIONS["pow"],
 }
 
 
@@ -83,7 +81,8 @@ def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
         stripped = stripped.replace("\r", " ").replace("\n", " ")
     lead = len(text) - len(text.lstrip())
     try:
-        return _Reader(text, lead, names).read(ast.parse(stripped, mode="eval").body)
+        body = ast.parse(stripped, mode="eval").body
+        return _Reader(text, lead, {**CONSTANTS, **names}).read(body)
     except SyntaxError as error:
         column = lead + max(error.offset or 1, 1)
         raise ContactSystemError(
@@ -106,7 +105,7 @@ class _Reader:
 
     text: str
     lead: int
-    names: Mapping[str, ca.SX]
+    names: Mapping[str, Value]
 
     def fail(self, node: ast.expr, problem: str) -> ContactSystemError:
         # Python counts columns in UTF-8 bytes, people count characters.
@@ -150,11 +149,9 @@ class _Reader:
     def name(self, node: ast.Name) -> Value:
         if node.id in self.names:
             return self.names[node.id]
-        if node.id in CONSTANTS:
-            return CONSTANTS[node.id]
         if node.id in FUNCTIONS:
             raise self.fail(node, f"{node.id} is a function; write {node.id}(...)")
-        raise self.unknown(node, node.id, [*self.names, *CONSTANTS])
+        raise self.unknown(node, node.id, self.names)
 
     def operation(self, node: ast.BinOp, depth: int) -> Value:
         if isinstance(node.op, ast.BitXor):
@@ -162,12 +159,7 @@ class _Reader:
         meaning = _BINARY.get(type(node.op))
         if meaning is None:
             raise self.fail(node, "only + - * / ** combine two values in a formula")
-        left, right = self.read(node.left, depth), self.read(node.right, depth)
-        is_power = isinstance(node.op, ast.Pow) and not isinstance(left, float)
-        if is_power and isinstance(right, float) and abs(right) > MOST_POWER:
-            problem = f"the power {right:g} is beyond {MOST_POWER:g}; write a lower one"
-            raise self.fail(node, problem)
-        return self.apply(node, meaning, left, right)
+        return self.apply(node, meaning, depth, node.left, node.right)
 
     def call(self, node: ast.Call, depth: int) -> Value:
         if not isinstance(node.func, ast.Name) or node.keywords:
@@ -175,15 +167,20 @@ class _Reader:
         name = node.func.id
         if name not in FUNCTIONS:
             raise self.unknown(node, name, FUNCTIONS)
-        count, *meaning = FUNCTIONS[name]
+        count = FUNCTIONS[name][0]
         if len(node.args) != count:
             raise self.fail(node, f"{name} takes {count} argument(s), not {len(node.args)}")
-        return self.apply(node, meaning, *(self.read(given, depth) for given in node.args))
+        return self.apply(node, FUNCTIONS[name], depth, *node.args)
 
-    def apply(self, node: ast.expr, meaning: Meaning, *values: Value) -> Value:
-        of_numbers, of_symbols = meaning
+    def apply(self, node: ast.expr, meaning: Meaning, depth: int, *given: ast.expr) -> Value:
+        _, of_numbers, of_symbols = meaning
+        values = [self.read(operand, depth) for operand in given]
         if not all(isinstance(value, float) for value in values):
-            return (getattr(ca, of_symbols) if isinstance(of_symbols, str) else of_symbols)(*values)
+            power = values[-1] if of_symbols == "power" else 0.0
+            if isinstance(power, float) and abs(power) > MOST_POWER:
+                problem = f"the power {power:g} is beyond {MOST_POWER:g}; write a lower one"
+                raise self.fail(node, problem)
+            return getattr(ca, of_symbols)(*values)
         try:
             result = of_numbers(*values)
         except (ArithmeticError, ValueError) as error:
