@@ -11,17 +11,14 @@ class ContactSystemError(ValueError):
     """
 
     def __init__(self, text: object = ""):
-        super().__init__(_clipped(str(text)))
-
-
-def _clipped(text: str) -> str:
-    if not text.isprintable():
-        text = "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
-    over = len(text) - limits.MESSAGE
-    if over <= 0:
-        return text
-    gap, half = f" [... {over + 40} characters ...] ", (limits.MESSAGE - 40) // 2
-    return text[:half] + gap + text[-half:]
+        text = str(text)
+        if not text.isprintable():
+            text = "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+        over = len(text) - limits.MESSAGE
+        if over > 0:
+            gap, half = f" [... {over + 40} characters ...] ", (limits.MESSAGE - 40) // 2
+            text = text[:half] + gap + text[-half:]
+        super().__init__(text)
 
 
 class SceneError(ContactSystemError):
