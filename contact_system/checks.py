@@ -93,11 +93,7 @@ def one_of(
 def known_keys(table: Mapping, known: Iterable[str], place: str = "") -> None:
     """Raise a SceneError for the first unknown key, with the nearest known one."""
     for key in table:
-        if key not in known:
-            raise SceneError(
-                f"{place}key '{key}' is unknown{did_you_mean(key, known)}; "
-                f"the keys here are {', '.join(known)}"
-            )
+        one_of(key, known, f"{place}key")
 
 
 def is_plain(values: Any) -> TypeGuard[tuple[float, ...]]:

@@ -600,11 +600,11 @@ def one_push(**changes):
         (one_push(stop=0.1), "pushes.0.: stop = 0.1: give a time after start = 0.1"),
         (one_push(force=[1.0, 2.0]), r"pushes.0.: force = \[1.0, 2.0\]: give three numbers"),
         (one_push(force=[1.0, 2.0, "3"]), "pushes.0.: force = .*: give a list of numbers"),
-        (one_push(stopp=0.1), "pushes.0.: key 'stopp' is unknown.*'stop'"),
+        (one_push(stopp=0.1), "pushes.0.: key = 'stopp' is unknown.*'stop'"),
         ({"pushes": "often"}, "pushes = .*: give a list"),
         ({"pushes": [1.0]}, "pushes.0. = .*: give a table"),
         ({"pushes": {"on": "object"}}, "pushes = .*: give a list"),  # [drake.pushes] for [[ ]]
-        ({"frction": 0.3}, "key 'frction'.*'friction'"),
+        ({"frction": 0.3}, "key = 'frction'.*'friction'"),
         ({"time_step": "1e-3"}, "time_step = '1e-3': give a finite number"),
         (
             {"restart_period": 0.0015},

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import did_you_mean, finite_number, known_keys, naming, of_kind, within
+from ..checks import finite_number, known_keys, naming, of_kind, within
 from ..errors import ContactSystemError, SceneError
 from ..surfaces import Surface
 from ..surfaces.charts import fold_latitude
@@ -124,9 +124,7 @@ class Scene:
             An unknown field, or a wrong value.
         """
         fields = vars(self)
-        for key in changes:
-            if key not in fields:
-                raise SceneError(f"a scene has no '{key}'{did_you_mean(key, fields)}")
+        known_keys(changes, fields, "changes of a scene: ")
         made = Scene(**(fields | changes))
         if "contacts" in changes and not {"object", "disturbances"} & set(changes):
             object.__setattr__(made, "disturbances", self.disturbances)
@@ -193,8 +191,10 @@ class Scene:
         for key in ("name", "description", "source"):
             a_text(getattr(self, key), key)
         for key in ("paper", "drake"):
-            if getattr(self, key) != {}:
-                put(self, key, _plain_table(getattr(self, key), key))
+            if (table := getattr(self, key)) != {}:
+                of_kind(Mapping, table, key, "a table")
+                with naming(key):
+                    put(self, key, {name: _plain(value, name) for name, value in table.items()})
         if self.drake:
             with naming("drake"):
                 refuse_scene_keys(self.drake, ("object",))
@@ -303,14 +303,8 @@ def refuse_scene_keys(table: Mapping, own: Iterable[str]) -> None:
             )
 
 
-def _plain_table(table: Any, what: str) -> dict[str, Any]:
-    """A copy of a table that holds only what a scene file can hold."""
-    of_kind(Mapping, table, what, "a table")
-    with naming(what):
-        return {key: _plain(value, key) for key, value in table.items()}
-
-
 def _plain(value: Any, key: Any) -> Any:
+    """A copy of a value of a table, which holds only what a scene file can hold."""
     try:  # numpy's numbers and arrays have a method tolist
         text = json.dumps(value, allow_nan=False, default=operator.methodcaller("tolist"))
     except (TypeError, ValueError, AttributeError):
