@@ -127,16 +127,6 @@ def _decay(form: Form, value: ca.SX, profile: list[ca.SX], since: ca.SX, t: ca.S
     return decay
 
 
-def _bodies(finger: Surface, obj: Surface, form: Form) -> tuple[Body, Body, list[ca.SX]]:
-    """Finger and object, and the symbols of their numbers, each followed by the body's size."""
-    symbols = [ca.SX.sym(name, len(s.parameters) + 1) for name, s in (("p1", finger), ("p2", obj))]
-    tip, body = (
-        Body(s, ambient, ca.vertcat(s.sign, p)[:-1], p[-1], ca.SX())
-        for s, ambient, p in zip((finger, obj), form.ambient, symbols)
-    )
-    return tip, body, symbols
-
-
 def _chart_motion(
     tip: Body, body: Body, x: ca.SX, w: ca.SX, sigma: ca.SX, slope: ca.SX, lam: ca.SX
 ) -> ContactMotion:
@@ -202,7 +192,11 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     Inputs: t, x, w (6), held, law (gain, profile coefficients), numbers and size of the finger and
     of the object.
     """
-    tip, body, numbers = _bodies(finger, obj, form)
+    numbers = [ca.SX.sym("p", len(s.parameters) + 1) for s in (finger, obj)]
+    tip, body = (
+        Body(s, ambient, ca.vertcat(s.sign, p)[:-1], p[-1], ca.SX())
+        for s, ambient, p in zip((finger, obj), form.ambient, numbers)
+    )
     t, x, w = ca.SX.sym("t"), ca.SX.sym("x", sum(form.sizes)), ca.SX.sym("w", 6)
     held, law = ca.SX.sym("held", form.n_held), ca.SX.sym("law", 1 + form.n_profile)
     profile = ca.vertsplit(law[1:])

@@ -229,8 +229,15 @@ class Probe:
         return self.found
 
     def approach(self) -> np.ndarray:
-        """A point near which bodies that are apart would touch, in O: (3,), m."""
-        return _nearest(*self._surfaces, self._pose)
+        """A point near which bodies that are apart would touch, in O: (3,), m.
+
+        It is the nearest to the object of a grid on the finger.
+        """
+        finger, obj = self._surfaces
+        turn, origin = self._pose[:, :3], self._pose[:, 3]
+        up = _height(obj, origin, origin[None])[0, 1:]
+        points = _grid(finger, -up @ turn, obj.size) @ turn.T + origin
+        return points[np.nanargmin(_height(obj, origin, points)[:, 0])]
 
 
 def _unknowns(surface: Surface, x: np.ndarray, last: np.ndarray | None = None) -> np.ndarray:
@@ -367,14 +374,6 @@ def _newton_step(
 
 
 # --- where to begin ----------------------------------------------------------------------------
-
-
-def _nearest(finger: Surface, obj: Surface, pose: np.ndarray) -> np.ndarray:
-    """The nearest point to the object of a grid on the finger, in the object's frame: (3,)."""
-    turn, origin = pose[:, :3], pose[:, 3]
-    up = _height(obj, origin, origin[None])[0, 1:]
-    points = _grid(finger, -up @ turn, obj.size) @ turn.T + origin
-    return points[np.nanargmin(_height(obj, origin, points)[:, 0])]
 
 
 def _grid(finger: Surface, foot: np.ndarray, reach: float) -> np.ndarray:
