@@ -176,8 +176,8 @@ def _sound(plan: cs.Plan) -> Verdict:
 def _distance(surface: cs.Surface, points: np.ndarray) -> np.ndarray:
     """How far points (n, 3) are off a surface, by its level function, m."""
     x, p = ca.SX.sym("x", 3), ca.SX.sym("p", len(surface.numbers))
-    level = surface.implicit_expr(p, x)
-    away = ca.Function("away", [x, p], [level / ca.norm_2(ca.gradient(level, x))])
+    level, gradient, _ = surface.level_geometry(p[1:], x)
+    away = ca.Function("away", [x, p], [level / ca.norm_2(gradient)])
     return away(points.T, surface.numbers).full()[0]
 
 

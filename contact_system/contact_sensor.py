@@ -20,7 +20,7 @@ from .checks import rigid_motion, shaped_array
 from .engine.binding import Machine, run
 from .errors import ChartSingularity, ConformalContact, ContactSystemError
 from .scene import Scene, require_scene
-from .surfaces import SINGULAR, TINY, ParametricSurface, Surface
+from .surfaces import SINGULAR, ParametricSurface, Surface
 from .surfaces.plane import FlatChart
 from .theory import symbols as ca
 from .theory.equations import contact_velocities, reflection, relative_curvature, solve_plane
@@ -235,7 +235,7 @@ class Probe:
         """
         finger, obj = self._surfaces
         turn, origin = self._pose[:, :3], self._pose[:, 3]
-        up = _height(obj, origin, origin[None])[0, 1:]
+        up = np.nan_to_num(_height(obj, origin, origin[None])[0, 1:])  # NaN at a centre
         points = _grid(finger, -up @ turn, obj.size) @ turn.T + origin
         return points[np.nanargmin(_height(obj, origin, points)[:, 0])]
 
@@ -273,11 +273,10 @@ class _Side:
             self.metric_root, self.curvature = at.metric_root, at.curvature_form
             self.coordinates, self.missed = z, ca.SX(0)
             return
-        level = surface.implicit_expr(numbers, z)
-        hessian, gradient = ca.hessian(level, z)
+        level, gradient, hessian = surface.level_geometry(numbers[1:], z)
         x_axis, y_axis, metric_root = surface.frame_expr(numbers, z)
         tangents = ca.horzcat(x_axis, y_axis)
-        curvature = tangents.T @ hessian @ tangents / ca.norm_2(gradient)
+        curvature = numbers[0] * (tangents.T @ hessian @ tangents) / ca.norm_2(gradient)
         coordinates = ca.vertcat(*surface.coordinates_expr(numbers, z))
         # one Newton step onto the surface squares the distance from it
         self.x = z - level * gradient / ca.dot(gradient, gradient)
@@ -403,8 +402,7 @@ def _height(surface: Surface, origin: np.ndarray, points: np.ndarray) -> np.ndar
 @per_structure
 def _heights(surface: Surface) -> Table:
     x, numbers = ca.SX.sym("x", 3), number_symbols(surface)
-    level = surface.implicit_expr(numbers, x)
-    gradient = ca.gradient(level, x)
-    size = ca.norm_2(gradient) + TINY  # 0 at the centre
-    height = ca.vertcat(level, level * gradient / size) / size
+    level, gradient, _ = surface.level_geometry(numbers[1:], x)
+    size = ca.norm_2(gradient)
+    height = ca.vertcat(numbers[0] * level, level * gradient / size) / size
     return Table(numbers_function("heights", x, numbers, height))

@@ -191,10 +191,6 @@ class Surface:
         side, p = numbers[0], numbers[1:]
         return self._axes(p) @ self.chart(p).point(u, side * v)
 
-    def implicit_expr(self, numbers: ca.SX, x: ca.SX) -> ca.SX:
-        """Return F(x), zero on the surface, gradient out of the body."""
-        return numbers[0] * self._level(numbers[1:], x)
-
     def coordinates_expr(self, numbers: ca.SX, x: ca.SX) -> Pair:
         """Return (u, v) of a point of the surface, in the principal ranges of its chart."""
         side, p = numbers[0], numbers[1:]
@@ -221,7 +217,10 @@ class Surface:
         return place, self.geometry_expr(numbers, place[0], place[1])
 
     def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return the level function without the sign of the side, its gradient and Hessian."""
+        """Return the level function, its gradient and Hessian, in symbols of `parameters` and x.
+
+        It is zero on the surface; the gradient points out of the body, or into one that is inside.
+        """
         level = self._level(p, x)
         hessian, gradient = ca.hessian(level, x)
         return level, gradient, hessian
