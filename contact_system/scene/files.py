@@ -236,7 +236,7 @@ def _numbers(value: Any, what: str) -> Any:
             value = parse(value, {})
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise SceneError(f"{what} = {value!r}: give a number")
-    return value if what == "sheet" else finite_number(value, what)
+    return finite_number(value, what)
 
 
 # --- writing -----------------------------------------------------------------------------------
