@@ -75,12 +75,6 @@ class Body(NamedTuple):
         function = moving(self.surface, self.ambient)(name)
         return function(ca.vertcat(self.place, *arguments), self.numbers)
 
-    def frame(self) -> ca.SX:
-        """x, p, q, (9)."""
-        if self.ambient:
-            return ca.vertcat(self.place, self.call("second"))
-        return self.call("frame")
-
     def regularity(self) -> ca.SX:
         """The lesser Lame coefficient over the size: 0 where the chart is singular.
 
@@ -93,7 +87,7 @@ class Body(NamedTuple):
         least = self.call("lame")[2] / self.size
         if not surface.has_implicit:
             return least
-        x, p, q = ca.vertsplit(self.frame(), 3)
+        x, p, q = ca.vertsplit(self.call("frame"), 3)
         outward = moving(surface, True)("second")(ca.vertcat(x, p), self.numbers)
         return ca.copysign(least, ca.dot(outward, q))
 
@@ -213,7 +207,8 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
             carried = ca.vertcat(held[:2], held[2:4] * decay)
         motion = _frame_motion(tip, body, form, x, w, sigma, lam, carried)
     rate, state, (tip, body), velocities, turn, sliding, theta, carried = motion
-    frames, shapes = (tip.frame(), body.frame()), (tip.call("shape"), body.call("shape"))
+    frames = tip.call("frame"), body.call("frame")
+    shapes = tip.call("shape"), body.call("shape")
 
     def derivative(value: ca.SX) -> ca.SX:
         """Along the motion; disturbances are constant between edges."""

@@ -31,9 +31,8 @@ def writing(path: Path, place: str = "") -> Iterator[BinaryIO]:
         Why the file cannot be written; the old file stays, as it does after any other error.
     """
     target = Path(os.path.realpath(path))
-    part = target.with_name(
-        f"{target.name[:40]}.{os.urandom(4).hex()}.part"
-    )  # two may write one file
+    # two may write one file
+    part = target.with_name(f"{target.name[:40]}.{os.urandom(4).hex()}.part")
     try:
         if target.exists() and not target.is_file():  # /dev/null, which root can replace
             raise OSError("it is a folder, a device or a pipe")

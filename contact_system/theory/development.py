@@ -120,6 +120,10 @@ class InSpace(Moving):
         """q = n x p, n the normal out of the body."""
         return self._scale * self._across
 
+    def frame(self) -> ca.SX:
+        """x, p, q, (9)."""
+        return ca.vertcat(self.state, self.second())
+
     def motion(self, c: ca.SX) -> ca.SX:
         """x' = c1 p + c2 q, p' = -II(p, x') n."""
         velocity = c[0] * self.first + (c[1] * self._scale) * self._across

@@ -50,10 +50,8 @@ class ChartGeometry:
     def column(self) -> ca.SX:
         """Return all quantities as one column, as in `QUANTITIES`, the first index fastest."""
         first, second = (ca.vec(gamma) for gamma in self.christoffel)
-        quantities = {
-            **vars(self),
-            "christoffel": ca.horzcat(first, second).T,
-        }  # (k, i, j), k fastest
+        # (k, i, j), k fastest
+        quantities = vars(self) | {"christoffel": ca.horzcat(first, second).T}
         return ca.vertcat(*(ca.vec(quantities[name]) for name in QUANTITIES))
 
 
