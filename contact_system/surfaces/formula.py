@@ -10,7 +10,7 @@ import keyword
 import math
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -23,11 +23,11 @@ from ..theory import symbols as ca
 from ..theory.symbols import MOST_KEPT, hearing_ctrl_c
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Formula:
     """A user's formula as data, so that surfaces can be compared, hashed and pickled."""
 
-    code: str = field(repr=False)
+    code: str
     """Serialised CasADi function of (named parameters, *variables)."""
     names: tuple[str, ...]
     """Named parameters, sorted."""
@@ -43,8 +43,8 @@ class Formula:
     def __call__(self, p: ca.SX, *variables: ca.SX) -> ca.SX:
         return _restore(self.code)(p, *variables)
 
-    def describe(self) -> str:
-        """Return the formula and its parameters for messages; a function by its digest."""
+    def __repr__(self) -> str:
+        """The formula and its parameters, as arguments of a surface; a function by its digest."""
         text = repr(self.text)
         if self.text is None:
             import hashlib  # slow to import
@@ -140,7 +140,7 @@ def _renumbered(
     function = _restore(formula.code)
     if (function.n_in(), function.numel_out(0)) != (1 + len(arguments), count):
         raise SurfaceError(
-            f"formula = {formula.describe()} is that of another kind of surface; give "
+            f"formula = {formula!r} is that of another kind of surface; give "
             f"one of {count} component{'s' * (count > 1)} in {', '.join(letters)}"
         )
     for name in numbers:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NoReturn
 
 import numpy as np
@@ -77,11 +77,6 @@ class UserSurface(Surface):
     def structure(self) -> tuple[str, ...]:
         return (self._kind, self.formula.code)
 
-    def __repr__(self) -> str:
-        others = {w.name: getattr(self, w.name) for w in fields(self) if w.name != "formula"}
-        texts = [f"{k}={x!r}" for k, x in others.items() if x is not None and x is not False]
-        return f"{self._kind}({', '.join([self.formula.describe(), *texts])})"
-
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class ParametricSurface(UserSurface):
@@ -131,10 +126,10 @@ class ParametricSurface(UserSurface):
 
     chart = Chart
     has_implicit: ClassVar[bool] = False
-    u_range: tuple[float, float]
-    v_range: tuple[float, float]
-    u_period: float | None
-    v_period: float | None
+    u_range: tuple[float, float] = field(kw_only=True)
+    v_range: tuple[float, float] = field(kw_only=True)
+    u_period: float | None = field(default=None, kw_only=True)
+    v_period: float | None = field(default=None, kw_only=True)
 
     def __init__(
         self,
@@ -349,7 +344,7 @@ class ImplicitSurface(UserSurface):
 
     chart = CentralChart
     has_chart: ClassVar[bool] = False
-    center: tuple[float, float, float]
+    center: tuple[float, float, float] = field(kw_only=True)
 
     def __init__(
         self,
