@@ -182,7 +182,8 @@ class Surface:
     @kept
     def identity(self) -> Hashable:
         """What surfaces are compared by."""
-        return (self.structure, self.inside, self.parameters, self.size, self.periods())
+        options = [getattr(self, w.name) for w in fields(self) if w.kw_only]
+        return (self.structure, self.parameters, self.size, *options)
 
     # -- symbolic; see `has_chart` and `has_implicit`
 

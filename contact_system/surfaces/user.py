@@ -6,7 +6,7 @@ Their tables are made from the formula at first use. SI units, radians.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NoReturn
 
@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from ..checks import Array, finite_number, finite_numbers
 from ..engine.binding import leave, run
 from ..errors import ContactSystemError, SurfaceError
-from ..kept import kept
 from ..theory import symbols as ca
 from ..theory.geometry import ChartGeometry, contact_frame, tangent_geometry
 from ..theory.symbols import making_symbols
@@ -191,11 +190,6 @@ class ParametricSurface(UserSurface):
 
     def periods(self) -> Periods:
         return (self.u_period, self.v_period)
-
-    @kept
-    def identity(self) -> Hashable:
-        ranges = self.u_range, self.v_range
-        return (self.structure, self.inside, self.parameters, self.size, self.periods(), ranges)
 
     def chart_expr(self, numbers: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
         return self.formula(numbers[1:], u, numbers[0] * v)
