@@ -291,7 +291,7 @@ def test_parameters_are_changed_by_dataclasses_replace():
     wider = dataclasses.replace(PARAMETRIC, parameters={"R": 0.7})
     numbers = PARAMETRIC.named_parameters | {"R": 0.7}
     assert wider.named_parameters == numbers
-    with pytest.raises(SurfaceError, match="no parameter 'Q'; known: R, r"):
+    with pytest.raises(SurfaceError, match="= 'Q' is unknown; use one of R, r"):
         dataclasses.replace(PARAMETRIC, parameters={"Q": 0.7})
 
 

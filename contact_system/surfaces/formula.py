@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import finite_number, of_kind
+from ..checks import finite_number, of_kind, one_of
 from ..errors import SurfaceError
 from ..expressions import FUNCTIONS, parse
 from ..theory import symbols as ca
@@ -144,10 +144,7 @@ def _renumbered(
             f"one of {count} component{'s' * (count > 1)} in {', '.join(letters)}"
         )
     for name in numbers:
-        if name not in formula.names:
-            raise SurfaceError(
-                f"the formula has no parameter {name!r}; known: {', '.join(formula.names)}"
-            )
+        one_of(name, formula.names, "parameter of the formula", SurfaceError)
     return replace(formula, values=tuple({**formula.named, **numbers}.values()))
 
 
