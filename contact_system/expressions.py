@@ -25,10 +25,6 @@ Meaning: TypeAlias = tuple[int, Callable[..., Any], str]
 """Number of arguments, the function of numbers, and CasADi's name of that of symbols."""
 
 
-def _sign(x: float) -> float:
-    return float((x > 0) - (x < 0))
-
-
 def _alike(names: str, count: int) -> dict[str, Meaning]:
     """Functions with the same name in Python's math and in CasADi."""
     return {name: (count, getattr(math, name), name) for name in names.split()}
@@ -42,7 +38,7 @@ FUNCTIONS: dict[str, Meaning] = {
     "fabs": (1, abs, "fabs"),
     "fmin": (2, min, "fmin"),
     "fmax": (2, max, "fmax"),
-    "sign": (1, _sign, "sign"),
+    "sign": (1, lambda x: float((x > 0) - (x < 0)), "sign"),
 }
 
 _BINARY: dict[type[ast.operator], Meaning] = {
