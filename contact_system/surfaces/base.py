@@ -204,8 +204,7 @@ class Surface:
         axes = self._axes(p)
         x_axis, y_axis, m = self.chart(p).frame(axes.T @ x)
         # inside, v changes its sign, hence f_v and the normal; y = n x x changes with the normal
-        if not self.chart.orthogonal:
-            m = ca.vertcat(ca.horzcat(m[0, 0], side * m[0, 1]), m[1, :])
+        m = ca.vertcat(ca.horzcat(m[0, 0], side * m[0, 1]), m[1, :])
         return axes @ x_axis, side * (axes @ y_axis), m
 
     def geometry_expr(self, numbers: ca.SX, u: ca.SX, v: ca.SX) -> ChartGeometry:
