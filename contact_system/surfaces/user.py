@@ -351,7 +351,10 @@ class ImplicitSurface(UserSurface):
         formula: Formula | None = None,
     ) -> None:
         self._write("xyz", F, formula, parameters, size, inside)
-        store(self, center=_numbers(f"{self._kind}: center", center, 3))
+        point = finite_numbers(center, f"{self._kind}: center", SurfaceError)
+        if len(point) != 3:
+            raise SurfaceError(f"{self._kind}: center = {center!r}: give 3 numbers")
+        store(self, center=point)
 
     @property
     def F(self) -> str | None:
@@ -455,15 +458,8 @@ def _into(w: Any, span: tuple[float, float], period: float | None) -> Any:
     return w - period * np.floor((w - span[0]) / period) * ((w < span[0]) | (w > span[1]))
 
 
-def _numbers(what: str, value: Any, count: int) -> tuple[float, ...]:
-    numbers = finite_numbers(value, what, SurfaceError)
-    if len(numbers) != count:
-        raise SurfaceError(f"{what} = {value!r}: give {count} numbers")
-    return numbers
-
-
 def _range(what: str, value: Any) -> tuple[float, ...]:
-    low, high = span = _numbers(what, value, 2)
-    if not low < high:
+    span = finite_numbers(value, what, SurfaceError)
+    if len(span) != 2 or not span[0] < span[1]:
         raise SurfaceError(f"{what} = {value!r} must run from a lesser to a greater number")
     return span
