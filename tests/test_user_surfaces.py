@@ -182,7 +182,7 @@ def test_arithmetic_means_what_python_means(text, expected):
 
 
 def test_names_take_precedence_over_constants():
-    assert value("e*2 + R", e=3.0, R=1.0) == 7.0
+    assert value("e*2 + µ", **{"e": 3.0, "µ": 1.0}) == 7.0  # a micro sign, as keyboards have it
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import keyword
 import math
+import unicodedata
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -127,10 +128,11 @@ def _named(parameters: Any, letters: str) -> dict[str, float]:
             raise SurfaceError(
                 f"parameter name {name!r} already has a meaning in formulas; use another"
             )
-    return {
-        name: finite_number(parameters[name], f"parameters[{name!r}]")
-        for name in sorted(parameters)
+    numbers = {  # Python's parser writes a formula's names in this form, such as a micro sign as mu
+        unicodedata.normalize("NFKC", name): finite_number(value, f"parameters[{name!r}]")
+        for name, value in parameters.items()
     }
+    return dict(sorted(numbers.items()))
 
 
 def _renumbered(
