@@ -121,9 +121,8 @@ def _draw_chart_lines(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
     for lines in (mesh.grid[::step], mesh.grid.T[::step]):
         x, shown = mesh.points[lines], mesh.normals[lines] @ view[:, 2] > 0
         shown[shown] = ~is_hidden(mesh, view, x[shown])
-        for line, chosen in zip(x @ view, shown):
-            for run in _runs(chosen):
-                ax.plot(*line[run].T[:2], color="white", linewidth=0.7, alpha=0.75, zorder=2)
+        x[~shown] = np.nan
+        ax.plot(*(x @ view).T[:2], color="white", linewidth=0.7, alpha=0.75, zorder=2)
 
 
 def _draw_outline(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
@@ -142,12 +141,6 @@ def _draw_outline(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
     ax.add_collection(LineCollection(pairs, **style))
 
 
-def _runs(chosen: np.ndarray) -> list[slice]:
-    """Slices of consecutive true entries, of two or more."""
-    runs = np.ma.clump_masked(np.ma.array(chosen, mask=chosen))
-    return [run for run in runs if run.stop - run.start > 1]
-
-
 def _draw_curve(ax: Any, seen: np.ndarray, curve: Curve, hidden: np.ndarray) -> None:
     """A projected curve, (n, 3), with an arrowhead at its end."""
     for disturbed in (False, True):
@@ -159,8 +152,8 @@ def _draw_curve(ax: Any, seen: np.ndarray, curve: Curve, hidden: np.ndarray) -> 
             style |= {"color": colour, "zorder": 3 if behind else 4 + disturbed}
             chosen = (curve.disturbed == disturbed) & (hidden == behind)
             chosen[1:] |= chosen[:-1]  # join with the next run
-            for run in _runs(chosen):
-                ax.plot(*seen[run].T[:2], solid_capstyle="round", **style)
+            line = np.where(chosen[:, None], seen, np.nan)
+            ax.plot(*line.T[:2], solid_capstyle="round", **style)
     seen = seen[:, :2]
     away = np.linalg.norm(seen - seen[-1], axis=1)
     far = np.flatnonzero(away > 0.01 * np.ptp(seen, axis=0).max())
