@@ -12,7 +12,7 @@ typedef struct {
   const geodesic_t *how;
   unit_t rates, restore, frame, lame;
   int state, rows; /* numbers of a state, without and with Jacobi fields */
-  double length[L], tolerance, longest;
+  double length[L], tolerance;
   double y[MOST_ROWS][L], next[MOST_ROWS][L], k[STAGES][MOST_ROWS][L], unit[MOST_ROWS][L];
   double before[SHOWN][L], shown[SHOWN][L];
 } lines_t;

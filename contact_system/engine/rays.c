@@ -2,7 +2,7 @@
    lane each. */
 
 static const double SETTLED = 9e-16; /* last step of the method, relative */
-enum { DOUBLINGS = 40, MOST_TRIALS = 200 };
+enum { DOUBLINGS = 40, MOST_TRIALS = 240 };
 
 typedef struct {
   unit_t *level;
@@ -18,46 +18,37 @@ static void look_along(rays_t *r) {
   copy_lanes(r->value, found[0]), copy_lanes(r->slope, found[1]);
 }
 
-/* Goes outward until all rays are outside; which of them stay inside. */
-static void go_outside(rays_t *r, double size, int *stays) {
-  int within = 1;
-  fill_lanes(r->t, size);
-  for (int k = 0; k < DOUBLINGS && within; k++) {
-    look_along(r), within = 0;
-    for (int i = 0; i < L; i++) {
-      stays[i] = !(r->value[i] > 0.0), within |= stays[i];
-      if (stays[i]) r->t[i] *= 2.0;
-    }
-  }
-}
-
 /* r->t: where the rays leave; 0 where the centre is not inside, infinite where a ray stays inside,
    NaN where no point is found. */
 static void leave(rays_t *r, double size) {
+  const double farthest = ldexp(size, DOUBLINGS);
   double low[L], high[L], step[L];
-  int out[L], stays[L], going = 1;
+  int out[L], going = 1;
   fill_lanes(r->t, 0.0), look_along(r);
   for (int i = 0; i < L; i++) out[i] = !(r->value[i] < 0.0);
-  go_outside(r, size, stays);
-  fill_lanes(low, 0.0), fill_lanes(step, HUGE_VAL), copy_lanes(high, r->t);
+  fill_lanes(r->t, size), fill_lanes(low, 0.0), fill_lanes(high, HUGE_VAL), fill_lanes(step, HUGE_VAL);
   for (int k = 0; k < MOST_TRIALS && going; k++) {
-    going = 0;
+    look_along(r), going = 0;
     for (int i = 0; i < L; i++) {
       const double t = r->t[i], value = r->value[i];
-      if (step[i] <= SETTLED * t) continue; /* else it would depend on the other rays */
+      /* else it would depend on the other rays */
+      if (out[i] || t == farthest || step[i] <= SETTLED * t) continue;
       if (value < 0.0) low[i] = t;
+      if (high[i] == HUGE_VAL && !(value > 0.0)) { /* outward, until it is outside */
+        r->t[i] = 2.0 * t, going |= r->t[i] < farthest;
+        continue;
+      }
       if (value >= 0.0) high[i] = t;
       double trial = t - value / r->slope[i];
       const int inside = trial >= low[i] && trial <= high[i] && isfinite(r->slope[i]);
       /* Newton's method alone is slow on x^1000 */
       if (!(inside && fabs(trial - t) <= 0.5 * step[i])) trial = 0.5 * (low[i] + high[i]);
-      step[i] = fabs(trial - t), r->t[i] = trial;
-      going |= !(out[i] || stays[i] || step[i] <= SETTLED * trial);
+      step[i] = fabs(trial - t), r->t[i] = trial, going |= step[i] > SETTLED * trial;
     }
-    if (going) look_along(r);
   }
   for (int i = 0; i < L; i++)
-    r->t[i] = out[i] ? 0.0 : stays[i] ? HUGE_VAL : step[i] <= SETTLED * r->t[i] ? r->t[i] : NAN;
+    if (out[i] || r->t[i] == farthest) r->t[i] = out[i] ? 0.0 : HUGE_VAL;
+    else if (!(step[i] <= SETTLED * r->t[i])) r->t[i] = NAN;
 }
 
 static int rays(const table_t *level, const double *numbers, double size, int64_t n,
