@@ -7,7 +7,7 @@ import dataclasses
 import itertools
 import os
 import pickle
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent import futures
 from concurrent.futures import Executor, Future
 from typing import Any
@@ -17,7 +17,7 @@ from .chunk import NOTHING, Chunk, Part, Run, a_failure, end_with
 
 
 def spread(
-    chunks: Iterator[Chunk], run: Run, executor: Executor, ahead: int
+    chunks: Iterable[Chunk], run: Run, executor: Executor, ahead: int
 ) -> Generator[tuple[Chunk, Part]]:
     """Run chunks on an executor, at most ``ahead`` at a time.
 
@@ -25,22 +25,18 @@ def spread(
     at a time; the scenes of one that is lost even so become failures, which no file keeps: the next
     sweep tries them again, perhaps with more memory.
     """
-    lost: Iterable[Chunk] = chunks
     with contextlib.closing(_Crew(executor, run)) as crew:
-        for _ in range(2):
-            again, lost = lost, list[Chunk]()
-            for chunk, part in crew.work(again, ahead):
+        for most in (ahead, ahead, 1):
+            lost: list[tuple[Chunk, Any]] = []
+            for chunk, part in crew.work(chunks, most):
                 if isinstance(part, Part):
                     yield chunk, part
                 else:
-                    lost.append(chunk)
-        for chunk in lost:
-            ((_, part),) = crew.work([chunk], 1)
-            if not isinstance(part, Part):
-                places = enumerate(chunk.items, chunk.first)
-                part = Part(NOTHING, [a_failure(*placed, part) for placed in places])
-                chunk = dataclasses.replace(chunk, file=None)
-            yield chunk, part
+                    lost.append((chunk, part))
+            chunks = [chunk for chunk, _ in lost]
+    for chunk, error in lost:
+        failures = [a_failure(*placed, error) for placed in enumerate(chunk.items, chunk.first)]
+        yield dataclasses.replace(chunk, file=None), Part(NOTHING, failures)
 
 
 class _Crew:
