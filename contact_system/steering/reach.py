@@ -184,12 +184,9 @@ class _Search:
             batches = range(first // LANES, last // LANES)
             for n, batch in itertools.product(counts, batches):
                 for route in filter(self._stays, self._routes(n, batch)):
-                    shorter = None if legs else self._four_rolls(route.length)
+                    rolls = None if legs else self._four_rolls(route.length)
                     how = f"{n} leg{'s' * (n > 1)}, {(batch + 1) * LANES} starts"
-                    return self._shorter(shorter or route, counts, until), how
-            explicit = self._four_rolls(math.inf) if legs in (None, MOST_LEGS) else None
-            if explicit is not None:
-                return self._shorter(explicit, counts, until), f"four rolls, after {last} starts"
+                    return self._shorter(rolls or route, counts, until), how
             if counts[0] < self.aim.fewest or self._alike():
                 break
         raise SceneError(self._refusal(counts, last))
