@@ -221,9 +221,7 @@ class Aim:
             self._followers.append(follower)
             data.how, data.shape = ctypes.addressof(follower.how), follower.shape
             if not follower.space:
-                place = np.ravel(body.coordinates(x))
-                own = body.point_and_frame(*place[:, None])[1][0]
-                data.place[:] = [*place.tolist(), math.atan2(*(frame[:, 0] @ own[:, [1, 0]]))]
+                data.place[:] = [*getattr(self.contact, f"{SIDES[side]}_at"), 0.0]
         return data
 
 

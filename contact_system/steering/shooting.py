@@ -69,7 +69,7 @@ class Follower:
         """The ends: x, p, q, J, J', M, M' (13, n); or x and J at equal steps, (samples, 4, n)."""
         n, address = len(length), binding.address
         start, length = np.ascontiguousarray(start), np.ascontiguousarray(length)
-        tolerance = np.full(n, tolerance) if np.ndim(tolerance) == 0 else tolerance
+        tolerance = np.full(n, tolerance)
         end, path = np.empty((13, n)), np.empty((samples, 4, n))
         arguments = address(start), address(length), address(tolerance), address(end)
         at_path = address(path) if samples else None
