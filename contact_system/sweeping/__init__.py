@@ -7,13 +7,13 @@ import functools
 import itertools
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sized
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sized
 from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
 
-from ..checks import a_path, flag, make_folder, whole_number
+from ..checks import a_path, flag, make_folder, of_kind, whole_number
 from ..errors import ContactSystemError
 from ..measures import summary
 from ..plan import checked_tolerance
@@ -139,15 +139,9 @@ def sweep(
         chunk = 1
     chunk = 500 if chunk is None else whole_number(chunk, "chunk")
     ahead = 2 * (os.cpu_count() or 1) if ahead is None else whole_number(ahead, "ahead")
-    if not callable(evaluate):
-        raise ContactSystemError(
-            f"evaluate = {evaluate!r:.80}: give a function of a plan, or of a scene with each=True"
-        )
-    if executor is not None and not isinstance(executor, Executor):
-        raise ContactSystemError(
-            f"executor = {executor!r:.80}: give an executor, such as ProcessPoolExecutor(4) or a "
-            "Dask client's get_executor()"
-        )
+    of_kind(Callable, evaluate, "evaluate", "a function of a plan, or of a scene with each=True")
+    remedy = "an executor, such as ProcessPoolExecutor(4) or a Dask client's get_executor()"
+    of_kind((Executor, type(None)), executor, "executor", remedy)
     flag(compiled, "compiled", none=True)
     tolerance = checked_tolerance(tolerance)
     run = functools.partial(run_chunk, evaluate, None if each else tolerance, os.getpid())
