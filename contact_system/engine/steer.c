@@ -41,10 +41,6 @@ static void add_row(equations_t *e, int n, double (*slope)[L], const double *off
   }
 }
 
-static void add_size(equations_t *e, const double *off) {
-  SIMD for (int l = 0; l < L; l++) e->size[l] += off[l] * off[l];
-}
-
 /* ---- a path ---- */
 
 static void turn_rows(double (*x)[L], double (*y)[L], int n, const double *c, const double *s) {
@@ -120,10 +116,10 @@ static void stay_within(const rolled_t *r, equations_t *e, int n) {
     away = sqrt(away);
     const double part = away > radius ? 1.0 / (away * radius) : 0.0;
     off[l] = away > radius ? away / radius - 1.0 : 0.0;
-    ahead[l] = part * along, aside[l] = part * across;
+    ahead[l] = part * along, aside[l] = part * across, e->size[l] += off[l] * off[l];
   }
   for (int i = 0; i < n; i++) SIMD for (int l = 0; l < L; l++) slope[i][l] = ahead[l] * r->ahead[i][l] + aside[l] * r->aside[i][l];
-  add_row(e, n, slope, off), add_size(e, off);
+  add_row(e, n, slope, off);
 }
 
 static void start_path(rolled_t *r) {
