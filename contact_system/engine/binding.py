@@ -99,7 +99,7 @@ class Steer(Structure):
         ("turn", c_double * 9),
         ("origin", c_double * 3),
         *((name, c_double) for name in ("size", "longest", "tolerance", "reached")),
-        *((name, c_int64) for name in ("turns", "is_pose", "parts", "steps")),
+        *((name, c_int64) for name in ("turns", "is_pose", "parts")),
     ]
 
 

@@ -184,7 +184,7 @@ typedef struct {
   double longest;            /* of a leg, along s; 0: any */
   double tolerance, reached; /* of the steps, of the goal, in sizes */
   int64_t turns, is_pose;    /* whether rotation and origin count */
-  int64_t parts, steps;      /* of a leg, looked at for `within`; trials */
+  int64_t parts;             /* of a leg, looked at for `within` */
 } steer_t;
 
 typedef struct {

@@ -5,7 +5,8 @@
    the end moves with each unknown: directions and lengths of the legs. */
 
 enum { MOST_LEGS = 4, UNKNOWNS = 2 * MOST_LEGS };
-enum { PATIENCE = 6, ENOUGH = 2 }; /* trials until one that creeps is given up; routes */
+/* trials; of these until one that creeps is given up; routes */
+enum { MOST_TRIES = 40, PATIENCE = 6, ENOUGH = 2 };
 
 /* slopes, or moves, by each unknown */
 typedef double by_unknown_t[UNKNOWNS][L];
@@ -332,7 +333,7 @@ static void search(search_t *w, int64_t count, double (*z)[L]) {
     w->active[l] = l < count, w->best.size[l] = mark[l] = HUGE_VAL, damping[l] = 1e-2;
     for (int i = 0; i < n; i++) w->tried[i][l] = z[i][l < count ? l : 0];
   }
-  for (int64_t step = 0; step < aim->steps && going > 0 && w->met < ENOUGH; step++) {
+  for (int64_t step = 0; step < MOST_TRIES && going > 0 && w->met < ENOUGH; step++) {
     try_paths(w);
     for (int l = 0; l < count; l++) {
       if (!w->active[l]) continue;

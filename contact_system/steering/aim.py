@@ -95,9 +95,7 @@ class Aim:
         """Least number of legs with as many unknowns as equations."""
         return (1 + (5 if self.pose is not None else 2 * len(self.sides))) // 2
 
-    def search(
-        self, z: Array, tolerance: float, reached: float, steps: int = 40
-    ) -> tuple[Array, Array, Array]:
+    def search(self, z: Array, tolerance: float, reached: float) -> tuple[Array, Array, Array]:
         """Newton's method from paths z, (2 n, m), until two of them are ``reached`` off the goal.
 
         A path is (phi_1, ..., phi_n, s_1, ..., s_n): directions measured from ``finger_velocity``,
@@ -110,7 +108,7 @@ class Aim:
         rows, count = z.shape
         data, tried = self._data, np.empty((rows, LANES))
         tried[:, :count] = z
-        data.tolerance, data.reached, data.steps = tolerance, reached, steps
+        data.tolerance, data.reached = tolerance, reached
         off, squares = np.full(LANES, math.inf), np.empty((rows, rows, LANES))
         out = address(tried), address(off), address(squares)
         if binding.steer(ctypes.addressof(data), rows // 2, count, *out) < 0:

@@ -207,14 +207,14 @@ class _Search:
         found = sorted(z[:, off < self.near].T, key=_length)
         yield from filter(None, map(self._route_near, found))
 
-    def _route_near(self, z: Array, steps: int = 20) -> _Route | None:
+    def _route_near(self, z: Array) -> _Route | None:
         """The route near a path; None if Newton's method finds none.
 
         The error is that of the planned path. If slip moves the object's path off the geodesics,
         its end is brought to the goal with derivatives by differences.
         """
         try:
-            paths, off, squares = self.aim.search(z[:, None], SHARP, NEARER, steps=steps)
+            paths, off, squares = self.aim.search(z[:, None], SHARP, NEARER)
             z = paths[:, 0]
             if not off[0] < NEAR:
                 return None
@@ -274,7 +274,7 @@ class _Search:
             fall = free.T @ (free @ np.concatenate([np.zeros(n), np.sign(route.z[n:])]))
             if np.linalg.norm(fall) < 1e-6:
                 break
-            other = self._route_near(route.z - step * unit * fall / np.linalg.norm(fall), steps=8)
+            other = self._route_near(route.z - step * unit * fall / np.linalg.norm(fall))
             if other is not None and other.length < route.length and self._stays(other):
                 route, step = other, 2.0 * step
             else:
