@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor
-from contact_system.engine.binding import SURFACES
+from contact_system.engine.binding import SURFACES, TableData
 from contact_system.surfaces import Ellipsoid, Surface, Torus
 from contact_system.theory.gain import LAWS
 from contact_system.theory.lowering import Table as Instructions
@@ -17,7 +17,7 @@ from contact_system.theory.lowering import Table as Instructions
 from .model import TOLERANCE, equations, frame_sizes, measured, way_of
 from .variables import Table
 
-VERSION, HEADER = 20261127.0, 35
+VERSION, HEADER = 20261128.0, 36
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
 
 
@@ -74,6 +74,8 @@ def scene_data(table: Table, token: str) -> bytes:
         for k, d in enumerate(scene.disturbances)
     ]
     orders += [at + k for *_, at in windows for k in (1, 0)]  # stop, start
+    tables = [*systems, *(t for s in surfaces for t in s.tables.ambient if t is not None)]
+    registers = max(TableData.from_address(t.address).n_regs for t in tables)
     bodies = [x for surface in surfaces for x in _surface(surface, data)]
     head = struct.pack(
         f"<{HEADER - 3}d",
@@ -84,7 +86,7 @@ def scene_data(table: Table, token: str) -> bytes:
         *(data.numbers(sizes), data.numbers(table.start_values), data.numbers(least)),
         *(data.numbers(nominals), data.numbers(contacts)),
         *(data.numbers(bodies), len(surfaces)),
-        data.numbers([x for system in systems for x in data.table(system)]),
+        *(data.numbers([x for system in systems for x in data.table(system)]), registers),
         *(data.numbers(np.ravel(windows)), len(windows)),
         *(data.numbers(sorted(corners)), len(corners), data.numbers(limits)),
         *(data.numbers(orders), len(orders) // 2, *obj),

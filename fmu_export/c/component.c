@@ -33,8 +33,8 @@ static void free_component(component_t *c) {
     drop_plan(c, i);
     free(c->live[i].registers);
   }
-  free(c->own), free(c->before), free(c->live), free(c->buffer), free(c->seed), free(c->grown),
-      free(c->tangents), free(c->registers), free(c->along);
+  free(c->own), free(c->before), free(c->live), free(c->buffer);
+  free(c->grows), free(c->tangents), free(c->registers), free(c->along);
   free_model(c->model);
 }
 
@@ -62,25 +62,26 @@ static const char *make_component(component_t *c, const char *resources) {
   const char *wrong;
   if (!(c->model = read_model(resources, &wrong))) return wrong;
   const model_t *m = c->model;
-  const size_t values = (size_t)m->n_values * sizeof(double);
-  size_t registers = 1;
+  const size_t registers = (size_t)m->data[D_REGISTERS];
   c->engine = contact_engine();
   c->own = new_saved(m), c->before = new_saved(m),
   c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
   /* legs, windows and numbers take no more room in the engine's scene than in the model's data */
   c->buffer = malloc((size_t)(m->data[D_SIZE] + S_HEADER + CONTACT_SIZE + 3 * WINDOW_SIZE + 2) *
                      sizeof(double));
-  c->seed = calloc(1, values), c->grown = calloc(1, values);
-  for (long i = 0; c->live && i < m->n_contacts; i++) {
+  c->grows = malloc((size_t)m->n_values * sizeof *c->grows);
+  c->tangents = malloc(registers * sizeof *c->tangents);
+  c->registers = malloc(registers * sizeof *c->registers);
+  c->along = malloc(registers * sizeof *c->along);
+  if (!c->own || !c->before || !c->live || !c->buffer || !c->grows || !c->tangents ||
+      !c->registers || !c->along)
+    return "no memory";
+  for (long i = 0; i < m->n_contacts; i++) {
     const table_t *t = system_of(m, i);
-    if ((size_t)t->n_regs > registers) registers = (size_t)t->n_regs;
     c->live[i].registers = calloc((size_t)t->n_regs, sizeof(double));
     if (!c->live[i].registers) return "no memory";
     memcpy(c->live[i].registers + t->first_lit, t->literals, (size_t)t->n_lit * sizeof(double));
   }
-  c->tangents = malloc(registers * sizeof *c->tangents);
-  if (!c->own || !c->before || !c->live || !c->buffer || !c->seed || !c->grown || !c->tangents)
-    return "no memory";
   c->now = &c->own->memory;
   c->value = (double *)(c->now + 1), c->segment = (segment_t *)(c->value + m->n_values);
   return NULL;

@@ -96,7 +96,6 @@ static const char *begin_measured(component_t *c, long i, segment_t *s) {
   if (sided) sided = !cover(c, i, c->now->acts_at) && !look_at(c, i, time_on(c, i), out);
   if (posed && !sided) return "its plan has no coordinates there; measure a moment later";
   double *r = load_sensor(c, i, t);
-  if (!r) return "there is no memory";
   memcpy(x, posed ? planned : given, sizeof x);
   if (posed) {
     const char *wrong = sense(c, i, t, r, given, x, points);

@@ -257,6 +257,38 @@ FMI_EXPORT status_t FMI(SetReal)(void *instance, const unsigned vr[], size_t cou
   return OK;
 }
 
+static void directional(component_t *c, const unsigned knowns[], size_t n_knowns,
+                        const double *seed, const unsigned unknowns[], size_t n_unknowns,
+                        double *value) {
+  memset(c->grows, 0, (size_t)c->model->n_values * sizeof *c->grows);
+  for (size_t k = 0; k < n_knowns; k++)
+    for (unsigned j = 0; j < SIZE(c, knowns[k]); j++) c->grows[knowns[k] + j][0] += *seed++;
+  derive(c);
+  for (size_t k = 0; k < n_unknowns; k++)
+    for (unsigned j = 0; j < SIZE(c, unknowns[k]); j++) *value++ = c->grows[unknowns[k] + j][0];
+}
+
+/* Along each of n knowns, L at once; the seed is of the unknowns. */
+static void adjoint(component_t *c, const unsigned unknowns[], size_t n_unknowns,
+                    const double *seed, const unsigned knowns[], size_t n_knowns, double *value,
+                    size_t n) {
+  for (size_t done = 0; done < n; done += L) {
+    const size_t more = n - done < L ? n - done : L;
+    const double *next = seed;
+    size_t at = 0;
+    memset(c->grows, 0, (size_t)c->model->n_values * sizeof *c->grows);
+    for (size_t k = 0; k < n_knowns; k++)
+      for (unsigned j = 0; j < SIZE(c, knowns[k]); j++, at++)
+        if (at >= done && at < done + more) c->grows[knowns[k] + j][at - done] = 1.0;
+    derive(c);
+    memset(value + done, 0, more * sizeof *value);
+    for (size_t k = 0; k < n_unknowns; k++)
+      for (unsigned j = 0; j < SIZE(c, unknowns[k]); j++, next++)
+        for (size_t d = 0; d < more && *next != 0.0; d++)
+          value[done + d] += *next * c->grows[unknowns[k] + j][d];
+  }
+}
+
 /* Both directions: seeds go to the references `from`, products come from the references `to`. */
 static status_t products(component_t *c, int transposed, const unsigned from[], size_t n_from,
                          const double seed[], size_t n_seed, const unsigned to[], size_t n_to,
@@ -273,14 +305,13 @@ static status_t products(component_t *c, int transposed, const unsigned from[], 
       if (side == transposed && kind == CALCULATED)
         REFUSE("%s is not a known; give inputs, states or parameters", c->model->names[reference]);
     }
-  memset(c->seed, 0, (size_t)c->model->n_values * sizeof *c->seed);
-  for (size_t k = 0; k < n_from; k++)
-    for (unsigned j = 0; j < SIZE(c, from[k]); j++) c->seed[from[k] + j] += *seed++;
-  derive(c, transposed);
+  if (transposed)
+    adjoint(c, from, n_from, seed, to, n_to, value, n);
+  else
+    directional(c, from, n_from, seed, to, n_to, value);
   for (size_t k = 0; k < n_to; value += SIZE(c, to[k]), k++) {
-    const long wrong = without_value(c, to[k], c->grown + to[k], SIZE(c, to[k]));
+    const long wrong = without_value(c, to[k], value, SIZE(c, to[k]));
     if (wrong < SIZE(c, to[k])) return refuse(c, to[k] + (unsigned)wrong);
-    memcpy(value, c->grown + to[k], SIZE(c, to[k]) * sizeof *value);
   }
   return OK;
 }

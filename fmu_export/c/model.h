@@ -18,7 +18,7 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_VERSION 20261127.0
+#define DATA_VERSION 20261128.0
 enum {
   D_VERSION,  /* the day of its last change, by which data is known at all */
   D_SIZE,     /* doubles in all */
@@ -40,8 +40,9 @@ enum {
   D_AT_CONTACTS,
   D_SURFACES, /* the object's first; and how many */
   D_N_SURFACES,
-  D_SYSTEMS, /* tables of the equations of a contact, one after the other */
-  D_WINDOWS, /* and how many */
+  D_SYSTEMS,   /* tables of the equations of a contact, one after the other */
+  D_REGISTERS, /* that these and tables of surfaces have at most */
+  D_WINDOWS,   /* and how many */
   D_N_WINDOWS,
   D_CORNERS, /* where legs of any contact begin, ascending, and how many */
   D_N_CORNERS,

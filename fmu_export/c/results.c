@@ -136,93 +136,52 @@ static status_t get_values(component_t *c, unsigned reference, long count, doubl
   return wrong == count ? OK : refuse(c, reference + (unsigned)wrong);
 }
 
-/* ---- derivatives ---- */
+/* ---- derivatives of all values, along up to L directions at once: in c->grows ---- */
 
-/* Runs the equations of contact i along tangents of their point and constants. */
-static double (*run_along(component_t *c, long i)) [L] {
-  const table_t *t = system_of(c->model, i);
-  memset(c->tangents[t->first_lit], 0, (size_t)(t->n_regs - t->first_lit) * sizeof *c->tangents);
-  UNTRAPPED({
-    load_system(c, i, c->tangents);
-    c->engine->along(&(program_t){t->prologue, c->live[i].registers}, c->tangents);
-    c->engine->along(&(program_t){t->body, c->live[i].registers}, c->tangents);
-  });
-  return c->tangents + t->first_out;
-}
-
-/* Windows on contact i act as its inputs do, which take over their seed or hand back what grew. */
-static void derive_windows(component_t *c, long i, int transposed) {
+/* Windows on contact i act as its inputs do. */
+static void grow_windows(component_t *c, long i) {
   const long scale = (long)c->model->data[D_SCALE];
   for (long k = 0; k < c->model->n_windows; k++)
     for (int a = 0; a < 2 && acts(c, k, i); a++) {
       const long at = (long)window_of(c, k)[V_VALUES] + 2 + a;
       const long input = c->model->layout[i].at[OF_INPUTS] + 2 * (int)window_of(c, k)[V_SLOT] + a;
-      if (transposed) {
-        c->grown[at] += c->value[scale] * c->grown[input];
-        c->grown[scale] += c->value[at] * c->grown[input];
-      } else {
-        c->seed[input] += c->value[scale] * c->seed[at] + c->value[at] * c->seed[scale];
-      }
+      for (int d = 0; d < L; d++)
+        c->grows[input][d] += c->value[scale] * c->grows[at][d] + c->value[at] * c->grows[scale][d];
     }
 }
 
-/* J seed of contact i, all of it in one lane */
-static void grow_along(component_t *c, long i, const double *column, long inputs, double *grown) {
-  double any = 0.0;
-  memset(c->tangents, 0, (size_t)inputs * sizeof *c->tangents);
-  for (long r = 0; r < inputs; r++) {
-    if (column[r] >= 0) c->tangents[r][0] = c->seed[(long)column[r]]; /* else a leg's own number */
-    any = fmax(any, fabs(c->tangents[r][0]));
+/* The results of contact i, from its point and constants */
+static void grow_results(component_t *c, long i) {
+  const layout_t *l = c->model->layout + i;
+  const table_t *t = system_of(c->model, i);
+  const double *column = c->model->data + (long)contact_of(c->model, i)[P_COLUMNS];
+  double (*results)[L] = c->grows + l->at[OF_RATES];
+  const size_t room = (size_t)n_results(l) * sizeof *results;
+  int any = 0;
+  memset(results, 0, room);
+  memset(c->tangents, 0, (size_t)t->n_regs * sizeof *c->tangents);
+  for (long r = 0; r < t->n_in + t->n_const; r++) {
+    if (column[r] < 0) continue; /* a leg's own number */
+    memcpy(c->tangents[r], c->grows[(long)column[r]], sizeof *c->tangents);
+    for (int d = 0; d < L; d++) any |= c->tangents[r][d] != 0.0;
   }
-  if (any == 0.0) return;
-  double (*found)[L] = run_along(c, i);
-  for (long j = 0; j < n_results(c->model->layout + i); j++) grown[j] = found[j][0];
+  if (!any) return;
+  UNTRAPPED({
+    load_system(c, i, c->tangents);
+    c->engine->along(&(program_t){t->prologue, c->live[i].registers}, c->tangents);
+    c->engine->along(&(program_t){t->body, c->live[i].registers}, c->tangents);
+  });
+  memcpy(results, c->tangents + t->first_out, room);
+  for (long j = 0; j < n_results(l) && past_end(c); j++)
+    for (int d = 0; d < L; d++) results[j][d] = NAN;
 }
 
-/* J^T seed of contact i, by blocks of columns of J */
-static void hand_back(component_t *c, long i, const double *column, long inputs,
-                      const double *seed) {
-  const long results = n_results(c->model->layout + i);
-  for (long from = 0; from < inputs; from += L) {
-    memset(c->tangents, 0, (size_t)inputs * sizeof *c->tangents);
-    for (long r = from; r < inputs && r < from + L; r++) c->tangents[r][r - from] = 1.0;
-    double (*found)[L] = run_along(c, i);
-    for (long r = from; r < inputs && r < from + L; r++)
-      for (long j = 0; column[r] >= 0 && j < results; j++)
-        if (seed[j] != 0.0) c->grown[(long)column[r]] += seed[j] * found[j][r - from];
-  }
-}
-
-/* grown = J seed over all references, or J^T seed */
-static void derive(component_t *c, int transposed) {
-  const model_t *m = c->model;
-  memcpy(c->grown, c->seed, (size_t)m->n_values * sizeof(double));
-  for (long i = 0; i < m->n_contacts; i++) {
-    const layout_t *l = m->layout + i;
-    const table_t *t = system_of(m, i);
-    const long inputs = t->n_in + t->n_const, results = n_results(l);
-    const double *seed = c->seed + l->at[OF_RATES];
-    const double *column = m->data + (long)contact_of(m, i)[P_COLUMNS];
-    double *grown = c->grown + l->at[OF_RATES];
-    long used = 0;
-    while (transposed && used < results && seed[used] == 0.0) used++;
-    if (used == results) continue;
-    if (!SYSTEM(c->now)) { /* brings the states up to date */
-      double state;
-      get_values(c, (unsigned)l->at[OF_STATES], 1, &state);
-    }
-    if (transposed) {
-      hand_back(c, i, column, inputs, seed);
-      derive_windows(c, i, 1);
-    } else {
-      derive_windows(c, i, 0);
-      memset(grown, 0, (size_t)results * sizeof *grown);
-      grow_along(c, i, column, inputs, grown);
-    }
-    if (SYSTEM(c->now)) find_system(c, i);
-    if (past_end(c))
-      for (long j = 0; j < m->n_values; j++)
-        if (transposed ? j < l->at[OF_RATES] : j >= l->at[OF_RATES] && j < l->at[GROUPS])
-          c->grown[j] = NAN;
+/* All results, from what stands in c->grows of the other values */
+static void derive(component_t *c) {
+  for (long i = 0; i < c->model->n_contacts; i++) {
+    double state; /* the first, which brings all up to date */
+    if (!SYSTEM(c->now)) get_values(c, (unsigned)c->model->layout[i].at[OF_STATES], 1, &state);
+    grow_windows(c, i);
+    grow_results(c, i);
   }
 }

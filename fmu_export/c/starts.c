@@ -2,16 +2,9 @@
    for, they are carried along. */
 
 /* Loads a table with constants that lie in the buffer; returns its registers, which hold the point
-   first, or NULL without memory. */
+   first. */
 static double *load_table(component_t *c, const table_t *t) {
-  if (c->room < t->n_regs) {
-    free(c->registers), free(c->along);
-    c->registers = malloc((size_t)t->n_regs * sizeof *c->registers);
-    c->along = malloc((size_t)t->n_regs * sizeof *c->along);
-    c->room = c->registers && c->along ? t->n_regs : 0;
-  }
   double *r = c->registers;
-  if (!c->room) return NULL;
   memcpy(r + t->n_in, c->buffer, (size_t)t->n_const * sizeof *r);
   if (t->n_lit) memcpy(r + t->first_lit, t->literals, (size_t)t->n_lit * sizeof *r);
   c->engine->step(&(program_t){t->prologue, r});
@@ -25,7 +18,6 @@ static double *load_surface(component_t *c, const double *body, const table_t *t
   c->buffer[0] = body[Q_SIGN];
   memcpy(c->buffer + 1, values + (long)body[Q_VALUES], n * sizeof *values);
   double *r = load_table(c, t);
-  if (!r) return NULL;
   memset(c->along, 0, (size_t)t->n_regs * sizeof *c->along);
   if (numbers) memcpy(c->along + t->n_in + 1, numbers, n * sizeof *numbers);
   c->engine->along(&(program_t){t->prologue, r}, c->along);
@@ -39,7 +31,6 @@ static const char *put_on_surface(component_t *c, long i, int side, double frame
   const double *body = body_of_contact(c->model, i, side);
   const table_t *t = surface_of(c->model, i, side)->ambient[A_RESTORE];
   double *r = load_surface(c, body, t, c->value, numbers), moved = 1.0;
-  if (!r) return "there is no memory";
   memcpy(r, frame, 6 * sizeof *r);
   if (grows) memcpy(c->along, grows, 6 * sizeof *grows);
   for (int k = 0; k < 50 && moved > 1e-12; k++) {
@@ -69,12 +60,11 @@ static void keep_coordinates(component_t *c, long i, int side, double frame[6], 
   if (!t || !(set || grows)) return;
   if (memcmp(frame, starts + l->at[OF_STATES] + side * l->frame[0], 6 * sizeof *frame)) return;
   double *r = load_surface(c, body, ambient[A_COORDINATES], starts, NULL);
-  if (!r) return;
   memcpy(r, frame, 6 * sizeof *r);
   r[6] = r[7] = 0.0; /* velocity, which does not matter */
   c->engine->step(&(program_t){ambient[A_COORDINATES]->body, r});
   const double *y = r + ambient[A_COORDINATES]->first_out, place[3] = {y[0], y[1], y[4]};
-  if (!(r = load_surface(c, body, t, c->value, numbers))) return;
+  load_surface(c, body, t, c->value, numbers);
   memcpy(r, place, sizeof place);
   c->engine->along(&(program_t){t->body, r}, c->along);
   if (!all_finite(r + t->first_out, 6)) return;
