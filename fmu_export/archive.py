@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,15 +22,18 @@ def target(path: str | os.PathLike) -> Path:
     return path
 
 
-def write_fmu(
-    path: Path, files: Mapping[str, bytes], moment: tuple[int, int, int, int, int, int]
-) -> None:
-    """Write a zip file whose bytes depend on the files and the moment (y, m, d, h, min, s) only.
+def generation_time() -> time.struct_time:
+    """Now, or ``$SOURCE_DATE_EPOCH``, in UTC."""
+    return time.gmtime(int(os.environ.get("SOURCE_DATE_EPOCH") or time.time()))
+
+
+def write_fmu(path: Path, files: Mapping[str, bytes]) -> None:
+    """Write a zip file whose bytes depend on the files and the `generation_time` only.
 
     If fmpy's validation has something to say of an FMU's description, nothing is replaced. Names
     are left out, on whose grammar it spends nearly all its time.
     """
-    stamp = max(moment, (1980, 1, 1, 0, 0, 0))  # zip's first year
+    stamp = max(generation_time()[:6], (1980, 1, 1, 0, 0, 0))  # zip's first year
     with writing(path) as file:
         with zipfile.ZipFile(file, "w") as archive:
             for name in sorted(files):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,6 @@ SMALL = 0.1
 """Nominal value of angles and path velocities: solvers take their absolute tolerances from it."""
 XY, XYZ = (".x", ".y"), (".x", ".y", ".z")
 CELLS = tuple(f"[{a},{b}]" for a in (1, 2, 3) for b in (1, 2, 3))
-STATE = ("local", "exact")
 SPEED = (1, -1, 0)
 
 INPUT_GROUPS, STATE_GROUP, DERIVATIVES = 2, 2, 3
@@ -32,7 +31,10 @@ def contact_groups(
     """The variables of a scene's contact i in the groups of c/model.h; starts: of the states;
     speed: nominal."""
     own = _Contact(scene, scene.contacts[i], f"contact[{i + 1}].", speed)
-    states = _started(own.states(), starts)
+    states = [
+        replace(v, causality="local", initial="exact", start=(float(x),))
+        for v, x in zip(own.states(), starts)
+    ]
     return [
         own.inputs(),
         [] if measured == "nothing" else own.measured(measured),
@@ -43,20 +45,14 @@ def contact_groups(
     ]
 
 
-def _started(rows: Sequence[Variable], starts: Iterable[float]) -> list[Variable]:
-    """The same with start values."""
-    return [replace(v, start=(float(x),)) for v, x in zip(rows, starts)]
-
-
-def _derivative(state: Variable) -> Variable:
-    array, shape = state.within
+def _derivative(v: Variable) -> Variable:
+    array, shape = v.within
     return replace(
-        state,
-        name=f"der({state.name})",
+        v,
+        name=f"der({v.name})",
         within=(array and f"der({array})", shape),
-        description="Time derivative: " + state.description,
-        unit=per_second(state.unit, 1),
-        causality="local",
+        description="Time derivative: " + v.description,
+        unit=per_second(v.unit, 1),
         initial="calculated",
         start=(),
         nominal=None,
@@ -74,19 +70,12 @@ class _Contact:
     speed: float | None
 
     def rows(
-        self,
-        name: str,
-        axes: tuple[str, ...],
-        unit: Unit | None,
-        text: str,
-        nominal: float | None = None,
-        kind: tuple[str, str | None] = ("output", "calculated"),
+        self, name: str, axes: tuple[str, ...], unit: Unit | None, text: str, **more: Any
     ) -> list[Variable]:
-        """A scalar, or the elements of an array."""
-        name, (causality, initial) = self.stem + name, kind
-        v = Variable(name, 0, causality, "continuous", initial, text, unit, nominal=nominal)
+        """A scalar, or the elements of an array; more: attributes of outputs that are not so."""
+        v = Variable(self.stem + name, text, unit, **more)
         shape = (3, 3) if axes is CELLS else (len(axes),)
-        return [replace(v, name=name + axis, within=(name, shape)) for axis in axes] or [v]
+        return [replace(v, name=v.name + axis, within=(v.name, shape)) for axis in axes] or [v]
 
     def inputs(self) -> list[Variable]:
         found = []
@@ -99,46 +88,41 @@ class _Contact:
                 text = f"Added to the {to} of {axis} of the {side}"
                 text += ", in addition to the scene's disturbance windows"
                 own = f"{side}.{quantity}.{axis}", (), per_second(unit, power), text
-                found += self.rows(*own, kind=("input", None))
-        return _started(found, np.zeros(len(found)))
+                found += self.rows(*own, causality="input", initial=None, start=(0.0,))
+        return found
 
     def measured(self, what: str) -> list[Variable]:
         """The trigger; then states as `Plan.states` has them, or twist and pose."""
         own = replace(self, stem=f"{self.stem}measured.")
         if what == "pose":
             rows = [v for group in own.motion() for v in group]
-            start = [*np.zeros(6), *np.eye(3).ravel(), *np.zeros(3)]
+            starts = [*np.zeros(6), *np.eye(3).ravel(), *np.zeros(3)]
         else:
             rows, contact = own.coordinates(), self.contact
-            start = [*contact.finger_at, 0.0, 0.0, *contact.object_at, 0.0, 0.0, contact.angle]
-        rows = [
+            starts = [*contact.finger_at, 0.0, 0.0, *contact.object_at, 0.0, 0.0, contact.angle]
+        text = "Co-Simulation goes on from what is measured when this changes to another number "
+        # discrete, so that importers hold values and do not interpolate them
+        kind: dict[str, Any] = {"causality": "input", "variability": "discrete", "initial": None}
+        return own.rows("trigger", (), NONE, text + "than 0", start=(0.0,), **kind) + [
             replace(
                 v,
                 name=re.sub(r"der\((.*)\)", r"\1_rate", v.name),
                 description=f"Measured: {v.description}",
+                start=(float(x),),
+                **kind,
             )
-            for v in rows
+            for v, x in zip(rows, starts)
         ]
-        text = "Co-Simulation goes on from what is measured when this changes to another number "
-        rows = [*own.rows("trigger", (), NONE, text + "than 0"), *rows]
-        # discrete, so that importers hold values and do not interpolate them
-        rows = [replace(v, causality="input", variability="discrete", initial=None) for v in rows]
-        return _started(rows, [0.0, *start])
 
     @property
     def bodies(self) -> tuple[tuple[str, Surface], ...]:
         return ("finger", self.contact.finger), ("object", self.scene.object)
 
     def places(self, stem: str, surface: Surface, what: str) -> list[Variable]:
-        """Coordinates u and v as states."""
-        units = chart_units(surface)
-        nominals = [SMALL * surface.size if unit == METRE else SMALL for unit in units]
         return [
             v
-            for axis, unit, size in zip("uv", units, nominals)
-            for v in self.rows(
-                f"{stem}.{axis}", (), unit, f"Coordinate {axis} of the {what}", size, STATE
-            )
+            for axis, unit in zip("uv", chart_units(surface))
+            for v in self.rows(f"{stem}.{axis}", (), unit, f"Coordinate {axis} of the {what}")
         ]
 
     def states(self) -> list[Variable]:
@@ -147,22 +131,21 @@ class _Contact:
         for (side, surface), size in zip(self.bodies, sizes):
             stem, carried = f"{side}.frame", f"frame carried along on the {side}"
             if size == 3:
-                rows += self.places(stem, surface, carried)
-                text = f"Angle in the chart of the {carried}"
-                rows += self.rows(f"{stem}.angle", (), RADIAN, text, SMALL, STATE)
-                continue
-            for name, unit, text, nominal in (
-                ("point", METRE, "Origin", SMALL * surface.size),
-                ("axis", NONE, "First axis", SMALL),
-            ):
-                text = f"{text} of the {carried}"
-                rows += self.rows(f"{stem}.{name}", XYZ, unit, text, nominal, STATE)
-        turns, stops = bool(self.contact.legs), bool(LAWS[self.scene.gain.law].makes_up)
+                own = self.places(stem, surface, carried)
+                own += self.rows(
+                    f"{stem}.angle", (), RADIAN, f"Angle in the chart of the {carried}"
+                )
+            else:
+                own = self.rows(f"{stem}.point", XYZ, METRE, f"Origin of the {carried}")
+                own += self.rows(f"{stem}.axis", XYZ, NONE, f"First axis of the {carried}")
+            for v in own:
+                v.nominal = SMALL * surface.size if v.unit == METRE else SMALL
+            rows += own
+        turns, stops = bool(self.contact.legs), LAWS[self.scene.gain.law].makes_up
         moving = "Path velocity of the finger's contact point in its carried frame"
         slipping = "Slip over sigma in the object's carried frame"
         for name, jumps, text in (("velocity", turns, moving), ("slip", stops, slipping)):
-            own = self.rows(f"frame.{name}", XY, NONE, text, SMALL, STATE)
-            rows += [replace(v, jumps=jumps) for v in own]
+            rows += self.rows(f"frame.{name}", XY, NONE, text, nominal=SMALL, jumps=jumps)
         return rows
 
     def coordinates(self) -> list[Variable]:
@@ -170,28 +153,25 @@ class _Contact:
         rows: list[Variable] = []
         for side, surface in self.bodies:
             places = self.places(side, surface, f"contact point on the {side}")
-            rows += [
-                replace(v, causality="output", initial="calculated", nominal=None)
-                for v in (*places, *map(_derivative, places))
-            ]
+            rows += [*places, *map(_derivative, places)]
         text = "Contact angle psi between the contact frames E1 and E2"
         return [*rows, *self.rows("angle", (), RADIAN, text)]
 
     def motion(self) -> tuple[list[Variable], list[Variable]]:
         """Twist and pose of the finger relative to the object."""
-        matrix = "Rotation matrix from the finger's frame to the object's"
-        size = max(self.contact.finger.size, self.scene.object.size)
         there, origin = "in the object's frame", "of the finger's frame in the object's frame"
+        size = max(self.contact.finger.size, self.scene.object.size)
         turning, moving = (
             f"Angular velocity of the finger {there}",
             f"Velocity of the origin {origin}",
         )
+        matrix = "Rotation matrix from the finger's frame to the object's"
         return [
             *self.rows("twist.angular", XYZ, (0, -1, 1), turning),
-            *self.rows("twist.linear", XYZ, SPEED, moving, self.speed),
+            *self.rows("twist.linear", XYZ, SPEED, moving, nominal=self.speed),
         ], [
             *self.rows("pose.rotation", CELLS, NONE, matrix),
-            *self.rows("pose.position", XYZ, METRE, f"Origin {origin}", size),
+            *self.rows("pose.position", XYZ, METRE, f"Origin {origin}", nominal=size),
         ]
 
     def outputs(self) -> list[list[Variable]]:
@@ -199,18 +179,15 @@ class _Contact:
         recovery = "Time in which slip falls to a hundredth at its present rate; at most 1e6 s"
         path = "sigma, the speed of the contact along its path"
         active, length = "1 while an input or a window acts, else 0", "Length of the slip"
-        points = [
-            v
-            for n, surface in self.bodies
-            for v in self.rows(
-                f"{n}.point", XYZ, METRE, f"Contact point in the {n}'s frame", surface.size
-            )
-        ]
+        points: list[Variable] = []
+        for n, s in self.bodies:
+            text = f"Contact point in the {n}'s frame"
+            points += self.rows(f"{n}.point", XYZ, METRE, text, nominal=s.size)
         condition = [
-            *self.rows("path.speed", (), SPEED, path, self.speed),
-            *self.rows("slip_speed", (), SPEED, length, self.speed),
+            *self.rows("path.speed", (), SPEED, path, nominal=self.speed),
+            *self.rows("slip_speed", (), SPEED, length, nominal=self.speed),
             *self.rows("disturbance.active", (), NONE, active),
             *self.rows("recovery_time", (), SECOND, recovery),
         ]
-        slip = self.rows("slip", XY, SPEED, "Slip v_rel in E2", self.speed)
+        slip = self.rows("slip", XY, SPEED, "Slip v_rel in E2", nominal=self.speed)
         return [slip, *self.motion(), points, condition]

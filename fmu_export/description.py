@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 import re
 import time
 import xml.etree.ElementTree as ET
@@ -23,6 +22,8 @@ from contact_system.checks import is_device, items_of
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
+from .archive import generation_time
+from .build import SOURCES
 from .quantities import Variable, unit_name
 from .variables import Table
 
@@ -54,12 +55,8 @@ def model_description(
     table: Table,
     fmi_version: str = "2.0",
     interfaces: Sequence[str] = INTERFACES,
-    sources: Sequence[str] = (),
 ) -> str:
-    """The text of modelDescription.xml.
-
-    sources: C files that an importer would compile; FMI 2 lists them here.
-    """
+    """The text of modelDescription.xml."""
     interfaces = check_choice(fmi_version, interfaces)
     root = ET.Element("fmiModelDescription", _head(table, fmi_version))
     # The schemas want Model Exchange first.
@@ -81,12 +78,6 @@ def model_description(
     exchange = "ModelExchange" in interfaces
     variables.extend(_variable(v, fmi_version, exchange) for v in listed(table, fmi_version))
     root.append(_structure(table, fmi_version))
-    if fmi_version == "2.0" and sources:
-        for interface in interfaces:
-            element = root.find(interface)
-            assert element is not None  # _interface has made it
-            files = ET.SubElement(element, "SourceFiles")
-            files.extend(ET.Element("File", name=name) for name in sources)
     token = "guid" if fmi_version == "2.0" else "instantiationToken"
     root.set(token, _digest(xml_text(root), table.scene))
     root.set("generationDateAndTime", time.strftime("%Y-%m-%dT%H:%M:%SZ", generation_time()))
@@ -130,11 +121,6 @@ def listed(table: Table, fmi_version: str) -> list[Variable]:
     return table.joined if table.arrays else table.rows
 
 
-def generation_time() -> time.struct_time:
-    """Now, or ``$SOURCE_DATE_EPOCH``, in UTC."""
-    return time.gmtime(int(os.environ.get("SOURCE_DATE_EPOCH") or time.time()))
-
-
 # --- head ----------------------------------------------------------------------------------------
 
 
@@ -160,7 +146,11 @@ def _head(table: Table, fmi_version: str) -> dict[str, str]:
 def _interface(table: Table, fmi_version: str, interface: str) -> ET.Element:
     flags = f"{_BOTH[fmi_version]} {_OWN[fmi_version, interface]}".split()
     attributes = {"modelIdentifier": model_identifier(table.scene)} | dict.fromkeys(flags, "true")
-    return ET.Element(interface, attributes)
+    element = ET.Element(interface, attributes)
+    if fmi_version == "2.0":
+        files = ET.SubElement(element, "SourceFiles")
+        files.extend(ET.Element("File", name=name) for name in SOURCES)
+    return element
 
 
 def _unit_definitions(table: Table) -> ET.Element:
@@ -326,13 +316,12 @@ def page(table: Table) -> str:
     )
 
 
-def build_description(table: Table, sources: Sequence[str]) -> str:
+def build_description(table: Table) -> str:
     """The text of sources/buildDescription.xml (FMI 3.0.2, section 2.5.1.6)."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     build = ET.SubElement(root, "BuildConfiguration", modelIdentifier=model_identifier(table.scene))
     files = ET.SubElement(build, "SourceFileSet", language="C11")
-    for name in sources:
-        ET.SubElement(files, "SourceFile", name=name)
+    files.extend(ET.Element("SourceFile", name=name) for name in SOURCES)
     ET.SubElement(build, "Library", name="m", external="true")
     return xml_text(root)
 

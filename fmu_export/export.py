@@ -18,7 +18,6 @@ from .description import (
     build_description,
     check_choice,
     companions,
-    generation_time,
     instantiation_token,
     model_description,
     model_identifier,
@@ -73,26 +72,26 @@ def export_fmu(
         A scene that no importer can step, a path that cannot be written to, no ziglang, or an FMU
         that fmpy's validation refuses.
     """
-    path, moment = target(path), generation_time()
-    platforms, interfaces = build.chosen(platforms), check_choice(fmi_version, interfaces)
+    path, platforms = target(path), build.chosen(platforms)
+    interfaces = check_choice(fmi_version, interfaces)
     if measured != "nothing" and "CoSimulation" not in interfaces:
         raise ContactSystemError(
             f"measured = {measured!r}: Co-Simulation alone goes on from a measurement; give it too"
         )
     tell = function_or_none(progress, "progress", "a function of a text") or (lambda step: None)
     table = variable_table(scene, flag(arrays, "arrays"), measured)
-    description = model_description(table, fmi_version, interfaces, build.SOURCES)
+    description = model_description(table, fmi_version, interfaces)
     name, data = model_identifier(scene), scene_data(table, instantiation_token(description))
     # FMI's own headers are the importer's, which may give functions a prefix (FMI 3.0.2, 2.2.2).
     texts = build.c_sources(data, name, fmi_version)
     files = {f"sources/{file}": text.encode() for file, text in texts.items()}
     files["resources/scene.bin"] = data
-    files["sources/buildDescription.xml"] = build_description(table, build.SOURCES).encode()
+    files["sources/buildDescription.xml"] = build_description(table).encode()
     files["modelDescription.xml"] = description.encode()
     files |= companions(table, fmi_version) | reference_files(scene)
     for platform in platforms:
         tell(f"taking the library for {platform}")
         files[build.library_place(name, platform, fmi_version)] = build.library(platform, name)
     tell("packing")
-    write_fmu(path, files, moment[:6])
+    write_fmu(path, files)
     return path

@@ -21,15 +21,14 @@ class Variable:
 
     Attributes
     ----------
-    name : str
-    reference : int
-        Value reference: index of the first element in the component's values.
+    name, description : str
+    unit : (int, int, int) or None
+        Exponents of m, s, rad; None where a user's chart does not say.
     causality, variability : str
     initial : str or None
         None for inputs and time, as the standard wants.
-    description : str
-    unit : (int, int, int) or None
-        Exponents of m, s, rad; None where a user's chart does not say.
+    reference : int
+        Value reference: index of the first element in the component's values.
     start : tuple of float
         One value an element; empty where the value is calculated.
     shape : tuple of int
@@ -47,12 +46,12 @@ class Variable:
     """
 
     name: str
-    reference: int
-    causality: str
-    variability: str
-    initial: str | None
     description: str
-    unit: Unit | None = NONE
+    unit: Unit | None
+    causality: str = "output"
+    variability: str = "continuous"
+    initial: str | None = "calculated"
+    reference: int = 0
     start: tuple[float, ...] = ()
     shape: tuple[int, ...] = ()
     within: tuple[str, tuple[int, ...]] = ("", ())

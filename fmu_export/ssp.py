@@ -17,11 +17,10 @@ from contact_system.scene import Scene
 
 from . import build
 from .archive import target, write_fmu
-from .description import generation_time, xml_text
+from .description import xml_text
 from .export import export_fmu
 
 _SSD, _SSC = (f"http://ssp-standard.org/SSP1/SystemStructure{x}" for x in ("Description", "Common"))
-_SIDES = {"output": "start", "input": "end"}
 
 
 def export_ssp(
@@ -62,7 +61,7 @@ def export_ssp(
         raise ContactSystemError(
             f'models = {models!r:.80}: give Scenes or paths of FMUs by name: {{"left": scene}}'
         )
-    path, moment, platforms = target(path), generation_time(), build.chosen(platforms)
+    path, platforms = target(path), build.chosen(platforms)
     files, found = {}, {}
     with tempfile.TemporaryDirectory(prefix="contact-system-") as folder:
         for k, (name, model) in enumerate(models.items()):
@@ -73,7 +72,7 @@ def export_ssp(
             found[name] = source, _read(name, model)
             files[source] = Path(model).read_bytes()
     files["SystemStructure.ssd"] = _structure(found, connections).encode()
-    write_fmu(path, files, moment[:6])
+    write_fmu(path, files)
     return path
 
 
@@ -93,50 +92,56 @@ def _structure(
     models: Mapping[str, tuple[str, ModelDescription]], connections: Iterable[tuple[str, str]]
 ) -> str:
     """The text of SystemStructure.ssd (SSP 1.0, section 5), of models' files and descriptions."""
-    ET.register_namespace("ssd", _SSD)
-    ET.register_namespace("ssc", _SSC)
-    root = ET.Element(f"{{{_SSD}}}SystemStructureDescription", version="1.0", name="planners")
-    system = _add(root, "System", name="planners")
-    outside, elements, lines = (_add(system, t) for t in ("Connectors", "Elements", "Connections"))
-    inside = {}
-    for name, (source, _) in models.items():
-        described = {"name": name, "type": "application/x-fmu-sharedlibrary", "source": source}
-        inside[name] = _add(_add(elements, "Component", **described), "Connectors")
-    seen: set[tuple[str, str]] = set()
+    connectors: dict[str, dict[str, tuple[str, str]]] = {name: {} for name in ("", *models)}
+    lines = []
     for pair in connections:
         if isinstance(pair, str) or len(ends := [*pair]) != 2:
             raise ContactSystemError(
                 f"connections: {pair!r}: give pairs, of an output and an input"
             )
-        places = [_place(models, whole, kind) for whole, kind in zip(ends, _SIDES)]
+        places = [_place(models, *end) for end in zip(ends, ("output", "input"))]
         types = [kind for _, _, kind in places if kind]
         if not types:
             raise ContactSystemError(f"connections: {pair!r}: neither is a variable of a model")
-        attributes: dict[str, str] = {}
-        for (model, variable, own), kind in zip(places, _SIDES):
-            side = _SIDES[kind]
-            # what goes into the system is an input of it and goes out to its models
-            kind = kind if model else {"output": "input", "input": "output"}[kind]
-            if (model, variable) in seen and (kind == "input") == bool(model):
+        line: dict[str, str] = {}
+        for side, (model, variable, own) in zip(("start", "end"), places):
+            if side == "end" and variable in connectors[model]:
                 raise ContactSystemError(
                     f"connections: {pair!r}: {variable!r} is connected already"
                 )
-            if (model, variable) not in seen:
-                connector = _add(inside.get(model, outside), "Connector", name=variable, kind=kind)
-                if (own or types[0]) != "Enumeration":  # SSP wants its items again, or no type
-                    ET.SubElement(connector, f"{{{_SSC}}}{own or types[0]}")
-            seen.add((model, variable))
-            attributes |= {f"{side}Element": model} if model else {}
-            attributes[f"{side}Connector"] = variable
-        _add(lines, "Connection", **attributes)
+            # what goes into the system is an input of it and goes out to its models
+            kind = "output" if (side == "start") == bool(model) else "input"
+            connectors[model][variable] = kind, own or types[0]
+            line |= {f"{side}Element": model} if model else {}
+            line[f"{side}Connector"] = variable
+        lines.append(line)
+    ET.register_namespace("ssd", _SSD)
+    ET.register_namespace("ssc", _SSC)
+    root = ET.Element(f"{{{_SSD}}}SystemStructureDescription", version="1.0", name="planners")
+    system = _add(root, "System", name="planners")
+    _add_connectors(system, connectors[""])
+    elements = _add(system, "Elements")
+    for name, (source, _) in models.items():
+        described = {"name": name, "type": "application/x-fmu-sharedlibrary", "source": source}
+        _add_connectors(_add(elements, "Component", **described), connectors[name])
+    if lines:
+        wires = _add(system, "Connections")
+        for line in lines:
+            _add(wires, "Connection", **line)
     stops = [getattr(d.defaultExperiment, "stopTime", None) for _, d in models.values()]
     stop = max((float(t) for t in stops if t), default=1.0)
     _add(root, "DefaultExperiment", startTime="0", stopTime=repr(stop))
-    for parent in [*root.iter()]:  # SSP has no empty lists of these
-        for child in [e for e in parent if e.tag.endswith(("Connectors", "Connections"))]:
-            if not len(child):
-                parent.remove(child)
     return xml_text(root)
+
+
+def _add_connectors(parent: ET.Element, connectors: Mapping[str, tuple[str, str]]) -> None:
+    """Kind and type of each; SSP has no empty lists of them."""
+    if connectors:
+        parent = _add(parent, "Connectors")
+    for name, (kind, of) in connectors.items():
+        connector = _add(parent, "Connector", name=name, kind=kind)
+        if of != "Enumeration":  # SSP wants its items again, or no type
+            ET.SubElement(connector, f"{{{_SSC}}}{of}")
 
 
 def _place(

@@ -132,7 +132,7 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
         f"finger {i}": c.finger for i, c in enumerate(scene.contacts)
     }
     _refuse(scene, bodies.values(), measured)
-    rows = [Variable("time", 0, "independent", "continuous", None, "Simulation time", SECOND)]
+    rows = [Variable("time", "Simulation time", SECOND, "independent", initial=None)]
 
     def add(more: Iterable[Variable]) -> int:
         """Add rows; returns the reference of the first one."""
@@ -198,7 +198,7 @@ SCALE = "Factor of the scene's own disturbances; 0 leaves them out"
 
 def _parameter(name: str, value: float, unit: Unit | None, text: str, **more: Any) -> Variable:
     kind = {"causality": "parameter", "variability": "fixed", "initial": "exact"} | more
-    return Variable(name, 0, description=text, unit=unit, start=(float(value),), **kind)
+    return Variable(name, text, unit, start=(float(value),), **kind)
 
 
 def _parameters(scene: Scene) -> Iterator[list[Variable]]:
