@@ -64,7 +64,7 @@ def scene_data(table: Table, token: str) -> bytes:
         orders += _orders(contact.finger, table.first[f"finger {i}"])
         corners |= {stretch.start for stretch in way_of(scene, contact)[1:]}
     sensed = ContactSensor(scene) if table.measured == "pose" else None
-    limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else ()
+    limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else 4 * (0.0,)
     least = [-np.inf if v.minimum is None else v.minimum for v in rows]
     nominals = [rows[r].nominal for r in table.states]
     shown = table.joined if table.arrays else rows
@@ -103,6 +103,7 @@ def _contact(
     pair = contact.finger, scene.object
     own, _ = equations(*table.structure(i))
     sensor = own if table.measured == "nothing" else measured(*pair, table.measured)
+    unknowns = [3 if s.has_implicit else 2 for s in pair] if table.measured == "pose" else [0, 0]
     legs: list[float] = []
     way = way_of(scene, contact)
     for stretch in way:
@@ -113,7 +114,7 @@ def _contact(
         *_body(contact.finger, table.first[f"finger {i}"], surfaces),
         *table.groups[i],
         *(data.numbers(table.columns(i)), _index(systems, own), *frame_sizes(*pair)),
-        *(_index(systems, sensor), *(3 if s.has_implicit else 2 for s in pair)),
+        *(_index(systems, sensor), *unknowns),
         *(data.numbers(legs), len(way), contact.angle),
     ]
 

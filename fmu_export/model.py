@@ -97,21 +97,25 @@ def _object_theta(obj: Surface, state: ca.SX, p2: ca.SX) -> ca.SX:
 def measured(finger: Surface, obj: Surface, what: str) -> Table:
     """The table by which a contact goes on from what is measured of it.
 
-    point: "states", u1 v1 u2 v2; "pose", unknowns of finger and object, X_OF (12, row by row),
-    V_OF_O (6). constants: sign, parameters and size of the finger, and of the object.
-    result: of "pose" the next unknowns, length of the step, det of the relative curvature over its
-    square, states (9); for both the metric roots (4 + 4).
+    point: what is measured, "states" or "pose"; of a pose the unknowns of finger and object first,
+    and it is V_OF_O (6), the rotation row by row (9), and the position of X_OF (3).
+    constants: sign, parameters and size of the finger, and of the object.
+    result: the next unknowns, length of the step, det of the relative curvature over its square,
+    states (9), the metric roots (4 + 4).
     """
     if what == "states":
-        places, constants, roots = [ca.SX.sym("place", 2) for _ in range(2)], [], []
-        for s, (u, v) in zip((finger, obj), map(ca.vertsplit, places)):
+        point = ca.SX.sym("states", 9)
+        constants, roots = list[ca.SX](), list[ca.SX]()
+        for s, (u, v) in zip((finger, obj), (ca.vertsplit(point[k : k + 2]) for k in (0, 4))):
             numbers = number_symbols(s)
             constants += [numbers, ca.SX.sym("size")]
             roots.append(ca.vec(s.geometry_expr(numbers, u, v).metric_root))
-        point, given, result = (ca.vertcat(*parts) for parts in (places, constants, roots))
+        given, result = ca.vertcat(*constants), ca.vertcat(0, 1, point, *roots)
     else:
-        point, given, *results = measured_contact(finger, obj)
-        point, others = ca.vertsplit(point, [0, point.numel() - 4, point.numel()])
+        seen, given, *results = measured_contact(finger, obj)
+        ends = (seen.numel() - k for k in (22, 10, 4, 0))
+        unknowns, pose, twist, others = ca.vertsplit(seen, [0, *ends])
+        point = ca.vertcat(unknowns, twist, *(pose[k : k + 3] for k in (0, 4, 8)), pose[3::4])
         # no share, no known slip
         result = ca.substitute(ca.vertcat(*results[:4], results[-1]), others, 0)
     return Table(ca.Function("measured", [point, given], [ca.densify(ca.cse(result))]))

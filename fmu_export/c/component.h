@@ -76,12 +76,11 @@ typedef struct {
   double *value;         /* in *now */
   segment_t *segment;    /* in *now */
   live_t *live;
-  double *buffer;         /* a contact's scene for the engine */
-  double (*grows)[L];     /* derivatives of all values */
-  double (*tangents)[L];  /* of the registers of equations */
-  double *registers;      /* of other tables, by which contacts start and are measured, */
-  double (*along)[L];     /* and their derivatives */
-  const char *unmeasured; /* why what was measured is no place to go on from */
+  double *buffer;        /* a contact's scene for the engine */
+  double (*grows)[L];    /* derivatives of all values */
+  double (*tangents)[L]; /* of the registers of equations */
+  double *registers;     /* of other tables, by which contacts start and are measured, */
+  double (*along)[L];    /* and their derivatives */
   failure_t failure;
   const char *called;   /* the function of FMI that the importer has called */
   int uses_events;      /* the importer handles them */

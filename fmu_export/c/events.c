@@ -7,56 +7,49 @@ static int pushed_at_rest(const component_t *c, long i) {
   return 0;
 }
 
-/* places among the inputs of what is measured: behind the trigger states, or twist and pose, that
-   as the rows of a rotation and a position */
-enum { TRIGGER, MEASURED };
-enum { ROTATION = 6, POSITION = 15, TWIST_AND_POSE = 18 };
+enum { TRIGGER, MEASURED }; /* places among the inputs of what is measured */
 
-/* Loads the table by which contact i is measured. */
-static double *load_sensor(component_t *c, long i, const table_t *t) {
+/* Newton's method of contact_sensor.py for the states of contact i, from a place near it; of states
+   that are measured there are no unknowns. found: states, and roots of the metrics, column by
+   column. Returns what is wrong, or NULL. */
+static const char *sense(component_t *c, long i, const double states[N_STATES],
+                         const double points[6], const double **found) {
+  const double *row = contact_of(c->model, i), *limit = section(c->model, D_SENSOR);
+  const table_t *t = c->model->systems + (long)row[P_SENSOR];
   double *next = c->buffer, body[BODY_SIZE];
   for (int side = 0; side < 2; side++)
     put_body(c, body_of_contact(c->model, i, side), &next, body), *next++ = body[B_LENGTH];
-  return load_table(c, t);
-}
-
-/* Newton's method of contact_sensor.py for the states of contact i, from a place near it. Returns
- * what is wrong, or NULL. */
-static const char *sense(component_t *c, long i, const table_t *t, double *r, const double *given,
-                         double states[N_STATES], const double points[6]) {
-  const double *row = contact_of(c->model, i), *limit = section(c->model, D_SENSOR);
+  double *r = load_table(c, t), *x = r;
   const double *y = r + t->first_out;
-  double *x = r;
   for (int side = 0; side < 2; side++) {
     const long n = (long)row[P_UNKNOWN_1 + side];
     memcpy(x, n == 3 ? points + 3 * side : states + 4 * side, (size_t)n * sizeof *x), x += n;
   }
   const long unknowns = x - r;
-  for (int k = 0; k < 3; k++, x += 4)
-    memcpy(x, given + ROTATION + 3 * k, 3 * sizeof *x), x[3] = given[POSITION + k];
-  memcpy(x, given, 6 * sizeof *x);
+  memcpy(x, c->value + c->model->layout[i].at[OF_MEASURED] + MEASURED,
+         (size_t)(t->n_in - unknowns) * sizeof *x);
   for (int k = 0;; k++) {
     c->engine->step(&(program_t){t->body, r});
     if (!(y[unknowns] > limit[N_SMALL]) || k >= (int)limit[N_MOST_STEPS]) break;
     memcpy(r, y, (size_t)unknowns * sizeof *r);
   }
   y += unknowns; /* length of the step, relative curvature, states, metric roots */
-  memcpy(states, y + 2, N_STATES * sizeof *states);
+  *found = y + 2;
   if (fabs(y[1]) <= limit[N_CONFORMAL])
     return "the surfaces conform at the contact, so that a twist does not tell where they touch; "
            "measure states";
   if (!(y[0] <= limit[N_SETTLED]))
     return "near its planned place no common normal of the surfaces is found at the measured pose; "
            "give X_OF, the finger's frame in the object's, or resynchronise sooner";
-  return all_finite(states, N_STATES)
+  return all_finite(*found, N_STATES)
              ? NULL
              : "it is measured at a pole or an umbilic of a chart, where there is no contact "
                "frame; "
                "measure a moment later";
 }
 
-/* The segment s of contact i begins now at these states; root: of the metrics, column by column.
-   Returns what is wrong, or NULL. */
+/* The segment s of contact i begins now at these states; root: of the metrics. Returns what is
+   wrong, or NULL. */
 static const char *begin_at(component_t *c, long i, segment_t *s, const double x[N_STATES],
                             const double *root) {
   const double sigma = sigma_now(c, i);
@@ -82,42 +75,34 @@ static const char *begin_at(component_t *c, long i, segment_t *s, const double x
 
 /* The segment s of contact i begins where it is measured. Returns what is wrong, or NULL. */
 static const char *begin_measured(component_t *c, long i, segment_t *s) {
-  const layout_t *l = c->model->layout + i;
-  const table_t *t = c->model->systems + (long)contact_of(c->model, i)[P_SENSOR];
-  const double *given = c->value + l->at[OF_MEASURED] + MEASURED, sigma = sigma_now(c, i);
-  const int posed = l->at[OF_STATES] - l->at[OF_MEASURED] > TWIST_AND_POSE;
+  const int posed = contact_of(c->model, i)[P_UNKNOWN_1] > 0;
   int sided = posed;
-  double x[N_STATES], points[6], planned[N_STATES];
-  if (!(sigma > 0))
+  double x[N_STATES], points[6] = {0}, planned[N_STATES] = {0};
+  const double *found;
+  if (!(sigma_now(c, i) > 0))
     return "sigma is zero, so that rates do not determine path velocities; measure while sigma > 0";
   for (int side = 0; side < 2; side++) sided |= surface_of(c->model, i, side)->double_cover;
   /* the plan tells on which side of a chart it is, and where to begin to look for it */
   double *out[N_OUTPUTS] = {[STATES] = planned, [POINTS] = posed ? points : NULL};
   if (sided) sided = !cover(c, i, c->now->acts_at) && !look_at(c, i, time_on(c, i), out);
   if (posed && !sided) return "its plan has no coordinates there; measure a moment later";
-  double *r = load_sensor(c, i, t);
-  memcpy(x, posed ? planned : given, sizeof x);
-  if (posed) {
-    const char *wrong = sense(c, i, t, r, given, x, points);
-    if (wrong) return wrong;
-  } else {
-    memcpy(r, x + U1, 2 * sizeof *r), memcpy(r + 2, x + U2, 2 * sizeof *r);
-    c->engine->step(&(program_t){t->body, r});
-  }
+  const char *wrong = sense(c, i, planned, points, &found);
+  if (wrong) return wrong;
+  memcpy(x, found, sizeof x);
   for (int side = 0; side < 2 && sided; side++) {
     double *own = x + 4 * side, place[5] = {own[0], own[1], own[2], own[3], x[PSI]};
     const double beside[3] = {planned[4 * side], planned[4 * side + 1], planned[PSI]};
     c->engine->wind(surface_of(c->model, i, side), beside, place);
     memcpy(own, place, 4 * sizeof *own), x[PSI] = place[4];
   }
-  return begin_at(c, i, s, x, r + t->first_out + t->n_out - 8);
+  return begin_at(c, i, s, x, found + N_STATES);
 }
 
-/* Contacts whose inputs or gain are no longer those of their segment begin another. Returns 0, or
-   with c->failure which cannot, from 1 on. */
-static int settle(component_t *c) {
+/* Contacts whose inputs or gain are no longer those of their segment begin another; else there are
+   no such values, or no such step, at that time. */
+static status_t settle(component_t *c, const char *what, double target) {
   memory_t *now = c->now;
-  if (now->settled) return 0;
+  if (now->settled) return OK;
   int rest = 0;
   for (long i = 0; i < c->model->n_contacts; i++) {
     segment_t *s = c->segment + i;
@@ -135,11 +120,12 @@ static int settle(component_t *c) {
     const double at = now->acts_at, lasted = at - s->begin;
     if (again || !reached(s->begin, at)) {
       if (again) {
-        UNTRAPPED(c->unmeasured = begin_measured(c, i, s));
+        const char *wrong;
+        UNTRAPPED(wrong = begin_measured(c, i, s));
         c->failure = (failure_t){.code = STUCK};
-        if (c->unmeasured) return (int)i + 1;
+        if (wrong) return refuse_motion(c, DISCARD, i, what, target, wrong);
       } else if (cover(c, i, at) || go_on(c, i, c->live[i].plan, time_on(c, i), s)) {
-        return (int)i + 1;
+        return refuse_motion(c, DISCARD, i, what, target, NULL);
       }
       s->end = at + lasted; /* where events follow each other closely, it is no use to plan far */
     }
@@ -150,5 +136,5 @@ static int settle(component_t *c) {
   }
   forget_values(c);
   now->settled = !rest;
-  return 0;
+  return OK;
 }

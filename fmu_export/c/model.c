@@ -39,17 +39,13 @@ static inline int kind_of(const model_t *m, unsigned reference) {
 }
 
 static void read_table(const model_t *m, const double *row, table_t *out) {
-  *out = (table_t){.n_in = (int32_t)row[T_N_IN],
-                   .n_const = (int32_t)row[T_N_CONST],
-                   .n_out = (int32_t)row[T_N_OUT],
-                   .n_lit = (int32_t)row[T_N_LIT],
-                   .first_lit = (int32_t)row[T_FIRST_LIT],
-                   .first_out = (int32_t)row[T_FIRST_OUT],
-                   .n_regs = (int32_t)row[T_N_REGS],
-                   .twin = -1,
-                   .prologue = (const code_t *)(m->data + (long)row[T_PROLOGUE]),
-                   .body = (const code_t *)(m->data + (long)row[T_BODY]),
-                   .literals = m->data + (long)row[T_LITERALS]};
+  int32_t *const numbers[] = {&out->n_in,      &out->n_const,   &out->n_out, &out->n_lit,
+                              &out->first_lit, &out->first_out, &out->n_regs};
+  for (int k = T_NUMBERS; k < T_PROLOGUE; k++) *numbers[k] = (int32_t)row[k];
+  out->twin = -1;
+  out->prologue = (const code_t *)(m->data + (long)row[T_PROLOGUE]);
+  out->body = (const code_t *)(m->data + (long)row[T_BODY]);
+  out->literals = m->data + (long)row[T_LITERALS];
 }
 
 static void read_surfaces(model_t *m) {

@@ -80,8 +80,9 @@ enum {
   P_SYSTEM,
   P_FRAME_1,
   P_FRAME_2,
-  P_SENSOR, /* where it is measured by pose and twist: the table of a step towards the contact, */
-  P_UNKNOWN_1, /* and how many unknowns each body has there: 3, a point, or 2, coordinates */
+  P_SENSOR,    /* where it is measured: the table of a step towards the contact, */
+  P_UNKNOWN_1, /* and how many unknowns each body has there, of poses: 3, a point, or 2, coordinates
+                */
   P_UNKNOWN_2,
   P_LEGS,
   P_N_LEGS,
@@ -105,20 +106,8 @@ enum {
   F_CHART = F_AMBIENT + N_AMBIENT,
   F_SIZE = F_CHART + N_CHART
 };
-/* a table: see engine.h; the last three are places */
-enum {
-  T_N_IN,
-  T_N_CONST,
-  T_N_OUT,
-  T_N_LIT,
-  T_FIRST_LIT,
-  T_FIRST_OUT,
-  T_N_REGS,
-  T_PROLOGUE,
-  T_BODY,
-  T_LITERALS,
-  T_SIZE
-};
+/* a table: the numbers of table_t in their order; then places */
+enum { T_NUMBERS, T_PROLOGUE = 7, T_BODY, T_LITERALS, T_SIZE };
 
 enum { TIME_VALUE, GAIN, PROFILE };                                       /* references */
 enum { CALCULATED, INDEPENDENT, CONSTANT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */

@@ -158,25 +158,25 @@ static int cover(component_t *c, long i, double target) {
   "sigma is zero, and an acceleration cannot act on a path that rests; accelerate "                \
   "while sigma > 0, or disturb the object's rates"
 
-/* Why the engine has no plan, as a line in the log. */
+/* Why the engine has no plan, as a line in the log; why: known otherwise, or NULL. */
 static status_t refuse_motion(component_t *c, status_t status, long i, const char *what,
-                              double target) {
+                              double target, const char *why) {
   const failure_t *f = &c->failure;
   const char *side = f->side ? "object" : "finger";
   char where[160] = "";
   if (f->code == STUCK && !f->by_length && f->t > 0)
     snprintf(where, sizeof where, ", at t = %.9g s", f->t);
-  const char *why =
-      c->unmeasured                   ? c->unmeasured
-      : f->code == NO_MEMORY          ? "there is no memory"
-      : f->code == TOO_LONG           ? "the path is so long that rounding would leave less "
-                                        "than four digits of its position; make shorter steps"
-      : f->pushed && f->value <= 1e-5 ? AT_REST
-      : f->code == TOO_MANY_PANELS
-          ? "a step is too long, it would take more than 20000 pieces of motion; make shorter steps"
-          : "the path reaches a singular point of its chart or its surface, or moves too fast for "
-            "double precision; set smaller inputs, end before or start elsewhere";
-  c->unmeasured = NULL;
+  if (!why)
+    why = f->code == NO_MEMORY            ? "there is no memory"
+          : f->code == TOO_LONG           ? "the path is so long that rounding would leave less "
+                                            "than four digits of its position; make shorter steps"
+          : f->pushed && f->value <= 1e-5 ? AT_REST
+          : f->code == TOO_MANY_PANELS
+              ? "a step is too long, it would take more than 20000 pieces of motion; make shorter "
+                "steps"
+              : "the path reaches a singular point of its chart or its surface, or moves too fast "
+                "for "
+                "double precision; set smaller inputs, end before or start elsewhere";
   return report(c, status, "contact[%ld].%s: no %s to t = %.17g s%s: %s", i + 1, side, what, target,
                 where, why);
 }

@@ -65,7 +65,7 @@ static status_t find(component_t *c, long i, unsigned groups) {
   const unsigned missing = groups & ~k->valid, asked = missing & ~rates;
   if (asked) {
     if (!k->plan && cover(c, i, c->now->time))
-      return refuse_motion(c, DISCARD, i, "values", c->now->time);
+      return refuse_motion(c, DISCARD, i, "values", c->now->time, NULL);
     /* at a pole or an umbilic there are values of what comes a moment before */
     const double t = time_on(c, i), before = t - 1e-8 * (t - c->segment[i].begin);
     if (look(c, i, t, asked) && look(c, i, before, asked))
@@ -124,12 +124,9 @@ static status_t get_values(component_t *c, unsigned reference, long count, doubl
   const long i = c->model->owners[reference];
   if (i >= 0) {
     const unsigned group = group_of(c, i, reference);
-    const int stuck = group && !SYSTEM(c->now) ? settle(c) : 0;
-    if (stuck) return refuse_motion(c, DISCARD, stuck - 1, "values", c->now->time);
-    if (group & ~c->live[i].valid) {
-      const status_t s = find(c, i, group);
-      if (s) return s;
-    }
+    status_t s = group && !SYSTEM(c->now) ? settle(c, "values", c->now->time) : OK;
+    if (!s && (group & ~c->live[i].valid)) s = find(c, i, group);
+    if (s) return s;
   }
   memcpy(value, c->value + reference, (size_t)count * sizeof *value);
   const long wrong = without_value(c, reference, value, count);

@@ -71,9 +71,8 @@ static status_t try_start(component_t *c) {
           "contact %ld cannot start: %s; change its start values or the parameters of the "
           "surface",
           i + 1, wrong);
-    if (now->stepping && cover(c, i, now->time)) {
-      return refuse_motion(c, FAILED, i, "motion", now->time);
-    }
+    if (now->stepping && cover(c, i, now->time))
+      return refuse_motion(c, FAILED, i, "motion", now->time, NULL);
     if (now->stepping) warm(c, i);
   }
   now->settled = 0; /* inputs act from here on */
@@ -105,15 +104,15 @@ static status_t step(component_t *c, double target, int stop_at_windows, int *ed
   if (now->pending) enter_windows(c);
   for (long i = 0; i < n; i++)
     if (pushed_at_rest(c, i)) return report(c, DISCARD, "no step to t = %.9g s: " AT_REST, target);
-  const int stuck = settle(c);
-  if (stuck) return refuse_motion(c, DISCARD, stuck - 1, "step", target);
+  const status_t s = settle(c, "step", target);
+  if (s) return s;
   double goal = fmin(target, now->limit);
   if (stop_at_windows) {
     const double window = next_window(c);
     if ((*edge = reached(target, window))) goal = window;
   }
   for (long i = 0; i < n; i++)
-    if (cover(c, i, goal)) return refuse_motion(c, DISCARD, i, "step", target);
+    if (cover(c, i, goal)) return refuse_motion(c, DISCARD, i, "step", target, NULL);
   set_time(c, goal);
   if (*edge) now->pending = 1, now->acts_at = nextafter(snapped(c, goal, 0), -HUGE_VAL);
   return OK;
