@@ -29,6 +29,7 @@ static void drop_plan(component_t *c, long i) {
 }
 
 static void free_component(component_t *c) {
+  if (!c) return;
   for (long i = 0; c->live && i < c->model->n_contacts; i++) {
     drop_plan(c, i);
     free(c->live[i].registers);
@@ -36,6 +37,7 @@ static void free_component(component_t *c) {
   free(c->own), free(c->before), free(c->live), free(c->buffer);
   free(c->grows), free(c->tangents), free(c->registers), free(c->along);
   free_model(c->model);
+  free(c);
 }
 
 /* Nothing is known any more of what was planned, or of what a solver has done. */

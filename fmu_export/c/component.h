@@ -65,7 +65,6 @@ typedef struct {
   double *registers; /* of its equations */
   int prepared;      /* their prologue has run, */
   long leg;          /* on this leg */
-  double theta;      /* of the object's frame, at the states */
 } live_t;
 
 typedef struct {
@@ -82,8 +81,11 @@ typedef struct {
   double *registers;     /* of other tables, by which contacts start and are measured, */
   double (*along)[L];    /* and their derivatives */
   failure_t failure;
-  const char *called;   /* the function of FMI that the importer has called */
-  int uses_events;      /* the importer handles them */
+  const char *called; /* the function of FMI that the importer has called */
+  void (*log)(void);  /* its logger, of the type its version of FMI says */
+  void *environment;  /* the logger's */
+  char name[256];
+  int uses_events, early_return; /* the importer handles events; and steps that they end early */
   int changed, follows; /* inputs have in continuous time; and the solver has evaluated that */
 } component_t;
 
@@ -118,5 +120,6 @@ static status_t report(component_t *, status_t, const char *format, ...)
     __attribute__((format(printf, 3, 4)))
 #endif
     ;
+#define REFUSE(...) return report(c, FAILED, __VA_ARGS__)
 
 #endif

@@ -28,14 +28,6 @@
 static const char *const category_of[] = {[DISCARD] = "logStatusDiscard",
                                           [FAILED] = "logStatusError"};
 
-typedef struct {
-  component_t component; /* first: `log_text` finds the rest behind it */
-  void (*log)(void);     /* the importer's logger, of the type its version of FMI says */
-  void *environment;
-  int early_return;
-  char name[256];
-} instance_t;
-
 /* where values can be got, and where some of them may be set */
 #define RUNNING (INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED)
 #define ANY (INSTANTIATED | RUNNING)
@@ -59,10 +51,9 @@ static status_t allowed(component_t *c, int phases) {
 
 #define BEGIN(phases)                                                                              \
   if (!instance) return FAILED;                                                                    \
-  component_t *c = &((instance_t *)instance)->component;                                           \
+  component_t *c = instance;                                                                       \
   c->called = __func__;                                                                            \
   if (allowed(c, phases)) return FAILED
-#define REFUSE(...) return report(c, FAILED, __VA_ARGS__)
 #define NEEDS(pointers)                                                                            \
   if (!(pointers)) REFUSE("a pointer is missing")
 /* Functions of one interface only, of Model Exchange or of Co-Simulation */
@@ -95,34 +86,26 @@ static status_t allowed(component_t *c, int phases) {
 #define NO_SETTER(name, ...)                                                                       \
   OF_NOTHING(Set##name, BEGIN(SETTABLE), "there are no variables of this type", __VA_ARGS__)
 
-static void free_instance(instance_t *instance) {
-  if (!instance) return;
-  free_component(&instance->component);
-  free(instance);
-}
-
-static instance_t *instantiate(const char *called, const char *name, const char *token,
-                               const char *resources, void (*log)(void), void *environment,
-                               int stepping) {
-  instance_t *instance = calloc(1, sizeof *instance);
-  if (!instance) return NULL;
-  component_t *c = &instance->component;
-  c->called = called;
-  instance->log = log, instance->environment = environment;
-  if (name) strncpy(instance->name, name, sizeof instance->name - 1);
+static component_t *instantiate(const char *called, const char *name, const char *token,
+                                const char *resources, void (*log)(void), void *environment,
+                                int stepping) {
+  component_t *c = calloc(1, sizeof *c);
+  if (!c) return NULL;
+  c->called = called, c->log = log, c->environment = environment;
+  if (name) strncpy(c->name, name, sizeof c->name - 1);
   const char *wrong = name && *name ? make_component(c, resources) : "the instance has no name";
   if (!wrong && (!token || strcmp(token, token_of(c->model))))
     wrong = "the " TOKEN " is another model's";
   if (wrong) {
     report(c, FAILED, "%s", wrong);
-    free_instance(instance);
+    free_component(c);
     return NULL;
   }
   reset(c, stepping);
-  return instance;
+  return c;
 }
 
-FMI_EXPORT void FMI(FreeInstance)(void *instance) { free_instance(instance); }
+FMI_EXPORT void FMI(FreeInstance)(void *instance) { free_component(instance); }
 
 /* The importer is told why something is refused in any case, as FMI 2.0.5 expects of errors
    (section 2.1.3): importers say no more than a status. FMI 3.0.2 silences errors with loggingOn =
@@ -150,10 +133,11 @@ static status_t set_times(component_t *c, double start, int stop_defined, double
   return OK;
 }
 
-/* The windows that act while the importer initializes */
-static status_t enter_initialization(component_t *c) {
+/* Initialization or event mode. Values are those after an event from here on, and no update changes
+   them any more: importers pass them on between the two (FMI 3.0.2, 2.3.5). */
+static status_t enter_mode(component_t *c, int phase) {
   enter_windows(c);
-  c->now->phase = INITIALIZATION;
+  c->now->phase = phase;
   return OK;
 }
 
@@ -425,30 +409,16 @@ FMI_EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], 
 
 /* --- events and steps ------------------------------------------------------------------------- */
 
-/* Values are those after the event from here on, and no update changes them any more: importers
-   pass them on between the two (FMI 3.0.2, 2.3.5). */
-static status_t enter_event_mode(component_t *c) {
+/* What an update says; importers restart their solvers where values have changed, and what acts may
+   have jumped. */
+static void update(component_t *c, BOOLEAN *terminate, BOOLEAN *values, BOOLEAN *next_defined,
+                   double *next_time) {
   enter_windows(c);
-  c->now->phase = EVENT;
-  return OK;
-}
-
-/* What an update says, in the order of both versions but for the states' nominal values, which
-   never change; importers restart their solvers where values have, and what acts may have jumped */
-typedef struct {
-  int terminate, values, next_defined;
-  double next_time;
-} update_t;
-
-static update_t update(component_t *c) {
-  enter_windows(c);
-  const int stepping = c->now->stepping, jumped = c->now->jumped;
-  c->now->jumped = 0;
+  const int stepping = c->now->stepping;
   const double next = stepping ? next_window(c) : next_edge(c);
-  return (update_t){.terminate = c->now->ended && !stepping,
-                    .values = jumped && !stepping,
-                    .next_defined = next < HUGE_VAL,
-                    .next_time = next < HUGE_VAL ? next : 0.0};
+  *terminate = c->now->ended && !stepping, *values = c->now->jumped && !stepping;
+  *next_defined = next < HUGE_VAL, *next_time = *next_defined ? next : 0.0;
+  c->now->jumped = 0;
 }
 
 static status_t check_step(component_t *c, double from, double size) {

@@ -53,16 +53,14 @@ typedef struct {
 /* The logger takes a format. Many importers print it as it is, and would print nothing but "%s" if
    that were it; so the text itself is the format, every percent sign in it doubled. */
 static void log_text(component_t *c, status_t status, const char *text) {
-  const instance_t *instance = (const instance_t *)c;
   char format[1400], *to = format;
-  if (!instance->log) return;
+  if (!c->log) return;
   for (; *text && to < format + sizeof format - 2; text++) {
     *to++ = *text;
     if (*text == '%') *to++ = '%';
   }
   *to = 0;
-  ((fmi2CallbackLogger)instance->log)(instance->environment, instance->name, (int)status,
-                                      category_of[status], format);
+  ((fmi2CallbackLogger)c->log)(c->environment, c->name, (int)status, category_of[status], format);
 }
 
 FMI_EXPORT const char *FMI(GetTypesPlatform)(void) { return "default"; }
@@ -85,7 +83,7 @@ FMI_EXPORT status_t FMI(SetupExperiment)(void *instance, int tolerance_defined, 
 
 FMI_EXPORT status_t FMI(EnterInitializationMode)(void *instance) {
   BEGIN(INSTANTIATED);
-  return enter_initialization(c);
+  return enter_mode(c, INITIALIZATION);
 }
 
 /* There are variables of type Real only. */
@@ -98,14 +96,15 @@ NO_VARIABLES(String, const char *)
 
 FMI_EXPORT status_t FMI(EnterEventMode)(void *instance) {
   BEGIN(EVENT | CONTINUOUS);
-  return enter_event_mode(c);
+  return enter_mode(c, EVENT);
 }
 
 FMI_EXPORT status_t FMI(NewDiscreteStates)(void *instance, fmi2EventInfo *info) {
   BEGIN(EVENT);
   NEEDS(info);
-  const update_t u = update(c);
-  *info = (fmi2EventInfo){0, u.terminate, 0, u.values, u.next_defined, u.next_time};
+  info->newDiscreteStatesNeeded = info->nominalsOfContinuousStatesChanged = 0;
+  update(c, &info->terminateSimulation, &info->valuesOfContinuousStatesChanged,
+         &info->nextEventTimeDefined, &info->nextEventTime);
   return OK;
 }
 
@@ -119,9 +118,8 @@ OF_NOTHING(GetRealOutputDerivatives, STEPPING_ONLY(STEP | TERMINATED),
 
 FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, int no_return) {
   BEGIN(STEP);
-  int edge;
   if (check_step(c, from, size)) return FAILED;
-  return step(c, from + size, 0, &edge);
+  return step(c, from + size);
 }
 
 NOT_THERE(CancelStep, "no step is under way", void *instance)

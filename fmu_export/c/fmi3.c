@@ -27,10 +27,7 @@ typedef void (*fmi3IntermediateUpdateCallback)(void), (*fmi3ClockUpdateCallback)
 #include "fmi.h"
 
 static void log_text(component_t *c, status_t status, const char *text) {
-  const instance_t *instance = (const instance_t *)c;
-  if (instance->log)
-    ((fmi3LogMessageCallback)instance->log)(instance->environment, status, category_of[status],
-                                            text);
+  if (c->log) ((fmi3LogMessageCallback)c->log)(c->environment, status, category_of[status], text);
 }
 
 FMI_EXPORT const char *FMI(GetVersion)(void) { return "3.0"; }
@@ -47,11 +44,10 @@ FMI_EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *toke
                                               const unsigned required[], size_t n_required,
                                               void *environment, fmi3LogMessageCallback log,
                                               fmi3IntermediateUpdateCallback update) {
-  instance_t *instance =
+  component_t *c =
       instantiate(__func__, name, token, resources, (void (*)(void))log, environment, 1);
-  if (!instance) return NULL;
-  instance->component.uses_events = event_mode, instance->early_return = early_return;
-  return instance;
+  if (c) c->uses_events = event_mode, c->early_return = early_return;
+  return c;
 }
 
 FMI_EXPORT void *FMI(InstantiateScheduledExecution)(
@@ -72,7 +68,7 @@ FMI_EXPORT status_t FMI(EnterInitializationMode)(void *instance, _Bool tolerance
                                                  _Bool stop_defined, double stop) {
   BEGIN(INSTANTIATED);
   if (set_times(c, start_time, stop_defined, stop)) return FAILED;
-  return enter_initialization(c);
+  return enter_mode(c, INITIALIZATION);
 }
 
 /* --- values ----------------------------------------------------------------------------------- */
@@ -125,7 +121,7 @@ FMI_EXPORT status_t FMI(GetAdjointDerivative)(void *instance, const unsigned unk
 FMI_EXPORT status_t FMI(EnterEventMode)(void *instance) {
   BEGIN(CONTINUOUS | STEP);
   if (c->now->stepping && !c->uses_events) REFUSE("the instance was made without event mode");
-  return enter_event_mode(c);
+  return enter_mode(c, EVENT);
 }
 
 FMI_EXPORT status_t FMI(EvaluateDiscreteStates)(void *instance) {
@@ -138,9 +134,8 @@ FMI_EXPORT status_t FMI(UpdateDiscreteStates)(void *instance, _Bool *again, _Boo
                                               double *next_time) {
   BEGIN(EVENT);
   NEEDS(again && terminate && nominals && values && next_defined && next_time);
-  const update_t u = update(c);
-  *again = *nominals = 0, *terminate = u.terminate, *values = u.values;
-  *next_defined = u.next_defined, *next_time = u.next_time;
+  *again = *nominals = 0;
+  update(c, terminate, values, next_defined, next_time);
   return OK;
 }
 
@@ -166,25 +161,23 @@ OF_NOTHING(GetOutputDerivatives, STEPPING_ONLY(STEP | TERMINATED),
 FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool no_return,
                                 _Bool *event, _Bool *terminate, _Bool *early, double *last_time) {
   BEGIN(STEP);
-  const instance_t *own = instance;
   const double end = from + size, limit = c->now->limit;
-  int edge = 0;
   NEEDS(event && terminate && early && last_time);
   *event = *terminate = *early = 0, *last_time = c->now->time;
   if (check_step(c, from, size)) return FAILED;
   /* where sigma ends, a step may end early too */
-  const int ends = own->early_return && !reached(limit, end) && !reached(c->now->time, limit);
+  const int ends = c->early_return && !reached(limit, end) && !reached(c->now->time, limit);
   const double target = ends ? limit : end;
-  const int crosses = c->uses_events && !own->early_return;
+  const int crosses = c->uses_events && !c->early_return;
   if (crosses) keep_state(c);
   status_t s = OK;
   do /* across edges where the importer does not let a step end early */
-    s = step(c, target, c->uses_events, &edge);
-  while (!s && edge && crosses && !reached(c->now->time, target));
+    s = step(c, target);
+  while (!s && c->now->pending && crosses && !reached(c->now->time, target));
   if (s && crosses) take_back(c);
   *last_time = c->now->time;
   *terminate = c->now->ended || (ends && !s && reached(c->now->time, limit));
-  *event = edge && !s, *early = !s && !reached(c->now->time, end);
+  *event = c->now->pending && !s, *early = !s && !reached(c->now->time, end);
   return s;
 }
 

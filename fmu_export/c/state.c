@@ -59,9 +59,8 @@ static status_t read_state(component_t *c, const void *bytes, size_t count, void
     wrong = "its checksum does not match; it has been changed";
   if (wrong) {
     free(s);
-    return report(
-        c, FAILED,
-        "serialized FMU state refused: %s; use the bytes that this FMU wrote, as they are", wrong);
+    REFUSE("serialized FMU state refused: %s; use the bytes that this FMU wrote, as they are",
+           wrong);
   }
   *state = s; /* what was there before is nothing to read: it may be uninitialized */
   return OK;

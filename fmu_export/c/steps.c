@@ -8,7 +8,7 @@ static const char *place_contact(component_t *c, long i) {
   double *x = c->value + l->at[OF_STATES], *to = s->row;
   const char *wrong = put_frames(c, i, x, NULL);
   if (wrong) return wrong;
-  find_system(c, i);
+  const double theta = find_system(c, i)[n_results(l)]; /* of the object's frame */
   memset(s, 0, sizeof *s);
   s->begin = c->now->time, s->gain = c->value[GAIN];
   if (leaves_slip_behind(c, i)) no_slip(l, x);
@@ -25,7 +25,7 @@ static const char *place_contact(component_t *c, long i) {
     to[K_FRAMES] += 1 << side;
     memcpy(to + (side ? K_FRAME_2 : K_FRAME_1), x, 6 * sizeof *x);
     place[0] = coordinates[4 * side], place[1] = coordinates[4 * side + 1];
-    place[2] = side ? c->live[i].theta : -(psi + turns * turn) - c->live[i].theta;
+    place[2] = side ? theta : -(psi + turns * turn) - theta;
   }
   memcpy(to + K_W1, x, 4 * sizeof *x);
   if (!all_finite(s->row, CONTACT_SIZE))
@@ -52,24 +52,20 @@ static status_t try_start(component_t *c) {
   const double *order = section(m, D_ORDERS);
   study_profiles(c);
   if (now->limit <= now->time)
-    return report(c, FAILED, "sigma is negative from t = %.9g s on; change the profile", now->time);
+    REFUSE("sigma is negative from t = %.9g s on; change the profile", now->time);
   for (long k = 0; k < (long)m->data[D_N_ORDERS]; k++, order += 2) {
     const long greater = (long)order[0], less = (long)order[1];
     if (!(c->value[greater] > c->value[less]))
-      return report(
-          c, FAILED,
-          "%s = %.9g is refused: it must be greater than %s = %.9g; set both, or export a "
-          "scene that has this",
-          m->names[greater], c->value[greater], m->names[less], c->value[less]);
+      REFUSE("%s = %.9g is refused: it must be greater than %s = %.9g; set both, or export a scene "
+             "that has this",
+             m->names[greater], c->value[greater], m->names[less], c->value[less]);
   }
   enter_windows(c);
   for (long i = 0; i < m->n_contacts; i++) {
     const char *wrong = place_contact(c, i);
     if (wrong)
-      return report(
-          c, FAILED,
-          "contact %ld cannot start: %s; change its start values or the parameters of the "
-          "surface",
+      REFUSE(
+          "contact %ld cannot start: %s; change its start values or the parameters of the surface",
           i + 1, wrong);
     if (now->stepping && cover(c, i, now->time))
       return refuse_motion(c, FAILED, i, "motion", now->time, NULL);
@@ -90,11 +86,10 @@ static status_t start(component_t *c) {
 
 /* ---- steps ---- */
 
-/* All contacts to a time, or none. */
-static status_t step(component_t *c, double target, int stop_at_windows, int *edge) {
+/* All contacts to a time, or to an edge on the way where the importer handles events; or none. */
+static status_t step(component_t *c, double target) {
   memory_t *now = c->now;
   const long n = c->model->n_contacts;
-  *edge = 0;
   now->ended = target > now->limit && !reached(now->limit, target);
   if (now->ended)
     return report(c, DISCARD,
@@ -106,14 +101,12 @@ static status_t step(component_t *c, double target, int stop_at_windows, int *ed
     if (pushed_at_rest(c, i)) return report(c, DISCARD, "no step to t = %.9g s: " AT_REST, target);
   const status_t s = settle(c, "step", target);
   if (s) return s;
-  double goal = fmin(target, now->limit);
-  if (stop_at_windows) {
-    const double window = next_window(c);
-    if ((*edge = reached(target, window))) goal = window;
-  }
+  const double window = next_window(c);
+  const int edge = c->uses_events && reached(target, window);
+  const double goal = edge ? window : fmin(target, now->limit);
   for (long i = 0; i < n; i++)
     if (cover(c, i, goal)) return refuse_motion(c, DISCARD, i, "step", target, NULL);
   set_time(c, goal);
-  if (*edge) now->pending = 1, now->acts_at = nextafter(snapped(c, goal, 0), -HUGE_VAL);
+  if (edge) now->pending = 1, now->acts_at = nextafter(snapped(c, goal, 0), -HUGE_VAL);
   return OK;
 }

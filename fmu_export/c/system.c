@@ -59,12 +59,12 @@ static const double *run_system(component_t *c, long i) {
   return found;
 }
 
-static void find_system(component_t *c, long i) {
+static const double *find_system(component_t *c, long i) {
   const layout_t *l = c->model->layout + i;
   const double *found = run_system(c, i);
   memcpy(c->value + l->at[OF_RATES], found, (size_t)n_results(l) * sizeof *found);
-  c->live[i].theta = found[n_results(l)];
   for (long j = l->at[OF_RATES]; j < l->at[GROUPS] && past_end(c); j++) c->value[j] = NAN;
+  return found;
 }
 
 /* The path turns where a leg begins. What slips goes on slipping, but behind a rest under a law
