@@ -22,11 +22,14 @@ KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "
 
 
 class _Data:
-    """Doubles, with texts and instructions between them; places count doubles."""
+    """Doubles, with texts and instructions between them; places count doubles. What several
+    contacts have in common is written once, behind them."""
 
     def __init__(self) -> None:
         self.parts: list[bytes] = []
         self.size = HEADER
+        self.surfaces: list[Surface] = []
+        self.systems: list[Instructions] = []
 
     def put(self, data: bytes) -> int:
         """Add bytes, filled up to whole doubles; returns their place."""
@@ -53,14 +56,11 @@ def scene_data(table: Table, token: str) -> bytes:
     """The bytes of scene.bin; token: instantiation token (FMI 3) or GUID (FMI 2)."""
     scene, rows, data = table.scene, table.rows, _Data()
     law = LAWS[scene.gain.law]
-    surfaces: list[Surface] = []
-    systems: list[Instructions] = []
-    obj = _body(scene.object, table.first["object"], surfaces)
-    contacts: list[float] = []
+    obj = _body(scene.object, table.first["object"], data)
+    contacts = [x for i in range(len(scene.contacts)) for x in _contact(table, i, data)]
     orders = _orders(scene.object, table.first["object"])
     corners: set[float] = set()
     for i, contact in enumerate(scene.contacts):
-        contacts += _contact(table, i, data, surfaces, systems)
         orders += _orders(contact.finger, table.first[f"finger {i}"])
         corners |= {stretch.start for stretch in way_of(scene, contact)[1:]}
     sensed = ContactSensor(scene) if table.measured == "pose" else None
@@ -74,9 +74,9 @@ def scene_data(table: Table, token: str) -> bytes:
         for k, d in enumerate(scene.disturbances)
     ]
     orders += [at + k for *_, at in windows for k in (1, 0)]  # stop, start
-    tables = [*systems, *(t for s in surfaces for t in s.tables.ambient if t is not None)]
+    tables = [*data.systems, *(t for s in data.surfaces for t in s.tables.ambient if t is not None)]
     registers = max(TableData.from_address(t.address).n_regs for t in tables)
-    bodies = [x for surface in surfaces for x in _surface(surface, data)]
+    bodies = [x for surface in data.surfaces for x in _surface(surface, data)]
     head = struct.pack(
         f"<{HEADER - 3}d",
         *(len(table.groups), len(rows), law.power, law.makes_up),
@@ -85,8 +85,8 @@ def scene_data(table: Table, token: str) -> bytes:
         data.numbers([KINDS.index(v.kind) for v in rows]),
         *(data.numbers(sizes), data.numbers(table.start_values), data.numbers(least)),
         *(data.numbers(nominals), data.numbers(contacts)),
-        *(data.numbers(bodies), len(surfaces)),
-        *(data.numbers([x for system in systems for x in data.table(system)]), registers),
+        *(data.numbers(bodies), len(data.surfaces)),
+        *(data.numbers([x for system in data.systems for x in data.table(system)]), registers),
         *(data.numbers(np.ravel(windows)), len(windows)),
         *(data.numbers(sorted(corners)), len(corners), data.numbers(limits)),
         *(data.numbers(orders), len(orders) // 2, *obj),
@@ -95,9 +95,7 @@ def scene_data(table: Table, token: str) -> bytes:
     return struct.pack("<3d", VERSION, data.size, zlib.adler32(body)) + head + body
 
 
-def _contact(
-    table: Table, i: int, data: _Data, surfaces: list[Surface], systems: list[Instructions]
-) -> list[float]:
+def _contact(table: Table, i: int, data: _Data) -> list[float]:
     """The row of contact i."""
     scene, contact = table.scene, table.scene.contacts[i]
     pair = contact.finger, scene.object
@@ -111,10 +109,10 @@ def _contact(
         legs += [stretch.start, data.numbers(profile) if contact.legs else 0, len(profile)]
         legs += stretch.turn
     return [
-        *_body(contact.finger, table.first[f"finger {i}"], surfaces),
+        *_body(contact.finger, table.first[f"finger {i}"], data),
         *table.groups[i],
-        *(data.numbers(table.columns(i)), _index(systems, own), *frame_sizes(*pair)),
-        *(_index(systems, sensor), *unknowns),
+        *(data.numbers(table.columns(i)), _index(data.systems, own), *frame_sizes(*pair)),
+        *(_index(data.systems, sensor), *unknowns),
         *(data.numbers(legs), len(way), contact.angle),
     ]
 
@@ -126,10 +124,10 @@ def _index(items: list[Any], item: Any) -> int:
     return known
 
 
-def _body(surface: Surface, at: int, surfaces: list[Surface]) -> list[float]:
+def _body(surface: Surface, at: int, data: _Data) -> list[float]:
     """The row of a body, whose first parameter has reference `at`."""
     sizes = (surface.size, surface.bend, surface.reach)
-    return [at, len(surface.parameters), _index(surfaces, surface), surface.sign, *sizes]
+    return [at, len(surface.parameters), _index(data.surfaces, surface), surface.sign, *sizes]
 
 
 def _orders(surface: Surface, at: int) -> list[int]:

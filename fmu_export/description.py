@@ -100,9 +100,8 @@ def check_choice(fmi_version: str, interfaces: Iterable[str]) -> tuple[str, ...]
 
 def instantiation_token(description: str) -> str:
     """The token (FMI 3) or GUID (FMI 2) that stands in a model description."""
-    found = re.search(r'(?:instantiationToken|guid)="([^"]+)"', description)
-    assert found is not None
-    return found.group(1)
+    (token,) = re.findall(r'(?:instantiationToken|guid)="([^"]+)"', description)
+    return token
 
 
 def model_identifier(scene: Scene) -> str:
@@ -246,15 +245,13 @@ def _structure(table: Table, fmi_version: str) -> ET.Element:
     # an FMI 3 array is known by the reference of its first element
     owner = {v.reference + i: v.reference for v in variables for i in range(v.size)}
     structure = ET.Element("ModelStructure")
-    for name, unknowns, allowed in (
-        ("Output", [v for v in variables if v.causality == "output"], running),
-        ("ContinuousStateDerivative", [v for v in variables if v.derivative is not None], running),
-        (
-            "InitialUnknown",
-            [v for v in variables if v.initial == "calculated"],
-            running | parameters,
-        ),
-    ):
+    kinds = {
+        "Output": [v for v in variables if v.causality == "output"],
+        "ContinuousStateDerivative": [v for v in variables if v.derivative is not None],
+        "InitialUnknown": [v for v in variables if v.initial == "calculated"],
+    }
+    for name, unknowns in kinds.items():
+        allowed = running | parameters if name == "InitialUnknown" else running
         parent = structure
         if fmi_version == "2.0":
             name = {"ContinuousStateDerivative": "Derivative"}.get(name, name) + "s"
@@ -281,19 +278,11 @@ def companions(table: Table, fmi_version: str) -> dict[str, bytes]:
         icon: Path(__file__).with_name("icon.png").read_bytes(),
         "documentation/index.html": page(table).encode(),
     }
-    files["documentation/licenses/license.txt"] = license_text().encode()
+    license_text = metadata.distribution("contact-system").read_text("licenses/LICENSE")
+    files["documentation/licenses/license.txt"] = (license_text or "MIT").encode()
     if fmi_version == "3.0":
         files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(table).encode()
     return files
-
-
-def license_text() -> str:
-    """This package's licence, from its checkout or from where it is installed."""
-    beside = Path(__file__).parents[1] / "LICENSE"
-    if beside.exists():
-        return beside.read_text("utf-8")
-    installed = metadata.distribution("contact-system")
-    return installed.read_text("licenses/LICENSE") or installed.read_text("LICENSE") or "MIT"
 
 
 def page(table: Table) -> str:
@@ -338,22 +327,21 @@ def terminals(table: Table) -> str:
     ET.SubElement(picture, "CoordinateSystem", box, suggestedScalingFactorTo_mm="0.1")
     ET.SubElement(picture, "Icon", box)
     everything = ET.SubElement(root, "Terminals")
-    members: dict[tuple[int, str], dict[str, str]] = {}
+    made: dict[tuple[str, str], ET.Element] = {}
     for v in listed(table, "3.0"):
-        if v.causality in ("input", "output"):
-            (number,) = re.findall(r"contact\[(\d+)\]", v.name)
-            name = v.name.replace(f"contact[{number}].", "")
-            kind = "disturbance" if v.causality == "input" else "motion"
-            kind = "measured" if name.startswith("measured.") else kind
-            own = members.setdefault((int(number), kind), {})
-            own[v.name] = name.removeprefix("measured.")
-    for (i, kind), names in members.items():
-        said = {"name": f"contact{i}_{kind}", "matchingRule": "bus", "terminalKind": kind}
-        named = table.scene.contacts[i - 1].name or f"Contact {i}"
-        terminal = ET.SubElement(everything, "Terminal", said, description=f"{named}: {kind}")
-        for name, member in names.items():
-            said = {"variableName": name, "memberName": member, "variableKind": "signal"}
-            ET.SubElement(terminal, "TerminalMemberVariable", said)
+        if v.causality not in ("input", "output"):
+            continue
+        (i,) = re.findall(r"contact\[(\d+)\]", v.name)
+        name = v.name.replace(f"contact[{i}].", "")
+        kind = "disturbance" if v.causality == "input" else "motion"
+        kind = "measured" if name.startswith("measured.") else kind
+        if (i, kind) not in made:
+            said = {"name": f"contact{i}_{kind}", "matchingRule": "bus", "terminalKind": kind}
+            named = table.scene.contacts[int(i) - 1].name or f"Contact {i}"
+            said["description"] = f"{named}: {kind}"
+            made[i, kind] = ET.SubElement(everything, "Terminal", said)
+        said = {"variableName": v.name, "memberName": name.removeprefix("measured.")}
+        ET.SubElement(made[i, kind], "TerminalMemberVariable", said, variableKind="signal")
     return xml_text(root)
 
 

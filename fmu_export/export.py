@@ -10,18 +10,10 @@ from contact_system.checks import flag, function_or_none
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
-from . import build
+from . import build, description
 from .archive import target, write_fmu
 from .data import scene_data
-from .description import (
-    INTERFACES,
-    build_description,
-    check_choice,
-    companions,
-    instantiation_token,
-    model_description,
-    model_identifier,
-)
+from .description import INTERFACES
 from .reference import reference_files
 from .variables import variable_table
 
@@ -73,22 +65,23 @@ def export_fmu(
         that fmpy's validation refuses.
     """
     path, platforms = target(path), build.chosen(platforms)
-    interfaces = check_choice(fmi_version, interfaces)
+    interfaces = description.check_choice(fmi_version, interfaces)
     if measured != "nothing" and "CoSimulation" not in interfaces:
         raise ContactSystemError(
             f"measured = {measured!r}: Co-Simulation alone goes on from a measurement; give it too"
         )
     tell = function_or_none(progress, "progress", "a function of a text") or (lambda step: None)
     table = variable_table(scene, flag(arrays, "arrays"), measured)
-    description = model_description(table, fmi_version, interfaces)
-    name, data = model_identifier(scene), scene_data(table, instantiation_token(description))
+    text = description.model_description(table, fmi_version, interfaces)
+    name = description.model_identifier(scene)
+    data = scene_data(table, description.instantiation_token(text))
     # FMI's own headers are the importer's, which may give functions a prefix (FMI 3.0.2, 2.2.2).
-    texts = build.c_sources(data, name, fmi_version)
-    files = {f"sources/{file}": text.encode() for file, text in texts.items()}
+    sources = build.c_sources(data, name, fmi_version)
+    files = {f"sources/{file}": source.encode() for file, source in sources.items()}
     files["resources/scene.bin"] = data
-    files["sources/buildDescription.xml"] = build_description(table).encode()
-    files["modelDescription.xml"] = description.encode()
-    files |= companions(table, fmi_version) | reference_files(scene)
+    files["sources/buildDescription.xml"] = description.build_description(table).encode()
+    files["modelDescription.xml"] = text.encode()
+    files |= description.companions(table, fmi_version) | reference_files(scene)
     for platform in platforms:
         tell(f"taking the library for {platform}")
         files[build.library_place(name, platform, fmi_version)] = build.library(platform, name)

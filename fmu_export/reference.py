@@ -78,13 +78,12 @@ def check_fmu(path: str | os.PathLike, bar: float = 1e-10) -> float:
         raise ContactSystemError(f"{path}: no reference results can be read: {error}") from None
     names, *rows = (line.split(",") for line in text.splitlines())
     wanted = np.array(rows, dtype=float)
-    given: dict[str, Any] = {"stop_time": wanted[-1, 0], "output_interval": wanted[1, 0]}
     known = {v.name for v in fmpy.read_model_description(str(path)).modelVariables}
     # of arrays the name without .x, .y, .z
     output = {n if n in known else n.rpartition(".")[0]: None for n in names[1:]}
-    given |= {"fmi_type": "CoSimulation", "output": [*output]}
+    given: dict[str, Any] = {"stop_time": wanted[-1, 0], "output_interval": wanted[1, 0]}
     try:
-        result = fmpy.simulate_fmu(str(path), **given)
+        result = fmpy.simulate_fmu(str(path), fmi_type="CoSimulation", output=[*output], **given)
     except Exception as error:  # fmpy raises bare ones
         raise ContactSystemError(f"{path}: Co-Simulation cannot be run here: {error}") from error
     found = np.hstack([result[name].reshape(len(result), -1) for name in ("time", *output)])
