@@ -22,7 +22,7 @@ static const char *sense(component_t *c, long i, const double states[N_STATES],
   double *r = load_table(c, t), *x = r;
   const double *y = r + t->first_out;
   for (int side = 0; side < 2; side++) {
-    const long n = (long)row[P_UNKNOWN_1 + side];
+    const long n = (long)row[P_UNKNOWNS + side];
     memcpy(x, n == 3 ? points + 3 * side : states + 4 * side, (size_t)n * sizeof *x), x += n;
   }
   const long unknowns = x - r;
@@ -75,7 +75,7 @@ static const char *begin_at(component_t *c, long i, segment_t *s, const double x
 
 /* The segment s of contact i begins where it is measured. Returns what is wrong, or NULL. */
 static const char *begin_measured(component_t *c, long i, segment_t *s) {
-  const int posed = contact_of(c->model, i)[P_UNKNOWN_1] > 0;
+  const int posed = contact_of(c->model, i)[P_UNKNOWNS] > 0;
   int sided = posed;
   double x[N_STATES], points[6] = {0}, planned[N_STATES] = {0};
   const double *found;

@@ -85,7 +85,7 @@ static void lay_out(model_t *m) {
   for (long i = 0; i < m->n_contacts; i++) {
     const double *row = contact_of(m, i);
     layout_t *l = m->layout + i;
-    for (int side = 0; side < 2; side++) l->frame[side] = (long)row[P_FRAME_1 + side];
+    for (int side = 0; side < 2; side++) l->frame[side] = (long)row[P_FRAMES + side];
     for (int g = 0; g <= GROUPS; g++) l->at[g] = (long)row[P_GROUPS + g];
     l->states = l->at[OF_RATES] - l->at[OF_STATES];
     m->n_states += l->states;

@@ -75,16 +75,13 @@ enum {
 enum {
   P_FINGER,
   P_GROUPS = P_FINGER + Q_SIZE,
-  P_COLUMNS = P_GROUPS + GROUPS +
-      1, /* references of its point and constants; -1: of the leg's profile */
+  P_COLUMNS = P_FINGER + Q_SIZE + GROUPS + 1, /* references of its point and constants; -1: of the
+                                                 leg's profile */
   P_SYSTEM,
-  P_FRAME_1,
-  P_FRAME_2,
-  P_SENSOR,    /* where it is measured: the table of a step towards the contact, */
-  P_UNKNOWN_1, /* and how many unknowns each body has there, of poses: 3, a point, or 2, coordinates
-                */
-  P_UNKNOWN_2,
-  P_LEGS,
+  P_FRAMES,                /* sizes of finger's and object's */
+  P_SENSOR = P_FRAMES + 2, /* where it is measured: the table of a step towards the contact, */
+  P_UNKNOWNS,              /* and how many each body has in a pose: 3, a point, 2, coordinates */
+  P_LEGS = P_UNKNOWNS + 2,
   P_N_LEGS,
   P_ANGLE, /* psi at the start, in the turn that the scene gives */
   P_SIZE

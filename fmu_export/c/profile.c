@@ -47,8 +47,7 @@ static long signs_of(const leg_t *leg, int order, double from, double to,
   return n;
 }
 
-/* A time from which on a leg's sigma has no zeros (Fujiwara 1916) nor turning points, or 30 years
- */
+/* A time from which on a leg's sigma has no zeros (Fujiwara 1916) nor turns, or 30 years */
 static double beyond_zeros(const component_t *c, const leg_t *leg, double from) {
   const double *p = leg->sigma;
   long n = leg->n;
@@ -141,8 +140,7 @@ static double next_edge(const component_t *c) {
   return next;
 }
 
-/* The time, or the first or last edge that it is but for rounding: 0.3 and 0.1 + 0.2 are one time
- */
+/* The time, or the first or last edge that it is but for rounding, as 0.3 and 0.1 + 0.2 are one */
 static double snapped(const component_t *c, double time, int last) {
   double found = last ? -HUGE_VAL : HUGE_VAL;
   for (long k = 0; k < n_edges(c->model); k++) {

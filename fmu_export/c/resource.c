@@ -44,19 +44,15 @@ static FILE *open_file(const char *path) { return fopen(path, "rb"); }
 
 static double *scene_data(const char *resources, size_t *count) {
   char path[4096];
-  double *data = NULL;
   if (!resources) return NULL;
   path_of(resources, path, sizeof path);
   FILE *file = open_file(path);
   if (!file) return NULL;
-  if (!fseek(file, 0, SEEK_END)) {
-    const long size = ftell(file);
-    if (size > 0 && size % 8 == 0 && size < 1L << 30 && !fseek(file, 0, SEEK_SET)) {
-      data = malloc((size_t)size);
-      *count = (size_t)size / 8;
-      if (data && fread(data, 8, *count, file) != *count) free(data), data = NULL;
-    }
-  }
+  const long size = fseek(file, 0, SEEK_END) ? 0 : ftell(file);
+  double *data = size > 0 && size % 8 == 0 && size < 1L << 30 ? malloc((size_t)size) : NULL;
+  *count = (size_t)size / 8;
+  if (data && (fseek(file, 0, SEEK_SET) || fread(data, 8, *count, file) != *count))
+    free(data), data = NULL;
   fclose(file);
   return data;
 }

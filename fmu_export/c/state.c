@@ -1,8 +1,6 @@
 /* FMU states: what an importer holds, which is also the bytes that it may keep. */
 
-#define SAVED_MARK                                                                                 \
-  0x53544341544e4f43ULL /* CONTACTS; not 0, as importers look at the first word                    \
-                         */
+#define SAVED_MARK 0x53544341544e4f43ULL /* CONTACTS; importers take 0 for no state */
 #define STATE_VERSION 10ULL
 
 static size_t memory_size(const model_t *m) {
@@ -41,8 +39,7 @@ static status_t save(component_t *c, void **state) {
   return OK;
 }
 
-/* A state from its bytes. The checksum guards against damage, not against people who make states.
- */
+/* A state from its bytes. The checksum guards against damage, not against people with intent. */
 static status_t read_state(component_t *c, const void *bytes, size_t count, void **state) {
   const saved_t *own = c->own;
   saved_t *s = new_saved(c->model);
