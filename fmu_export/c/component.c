@@ -30,10 +30,7 @@ static void drop_plan(component_t *c, long i) {
 
 static void free_component(component_t *c) {
   if (!c) return;
-  for (long i = 0; c->live && i < c->model->n_contacts; i++) {
-    drop_plan(c, i);
-    free(c->live[i].registers);
-  }
+  for (long i = 0; c->live && i < c->model->n_contacts; i++) drop_plan(c, i);
   free(c->own), free(c->before), free(c->live), free(c->buffer);
   free(c->grows), free(c->tangents), free(c->registers), free(c->along);
   free_model(c->model);
@@ -43,11 +40,8 @@ static void free_component(component_t *c) {
 /* Nothing is known any more of what was planned, or of what a solver has done. */
 static void forget(component_t *c) {
   c->changed = c->follows = 0;
-  for (long i = 0; i < c->model->n_contacts; i++) {
-    live_t *k = c->live + i;
-    drop_plan(c, i);
-    k->valid = 0, k->prepared = 0;
-  }
+  for (long i = 0; i < c->model->n_contacts; i++) drop_plan(c, i);
+  forget_values(c);
 }
 
 static void reset(component_t *c, int stepping) {
@@ -78,12 +72,6 @@ static const char *make_component(component_t *c, const char *resources) {
   if (!c->own || !c->before || !c->live || !c->buffer || !c->grows || !c->tangents ||
       !c->registers || !c->along)
     return "no memory";
-  for (long i = 0; i < m->n_contacts; i++) {
-    const table_t *t = system_of(m, i);
-    c->live[i].registers = calloc((size_t)t->n_regs, sizeof(double));
-    if (!c->live[i].registers) return "no memory";
-    memcpy(c->live[i].registers + t->first_lit, t->literals, (size_t)t->n_lit * sizeof(double));
-  }
   c->now = &c->own->memory;
   c->value = (double *)(c->now + 1), c->segment = (segment_t *)(c->value + m->n_values);
   return NULL;
@@ -116,9 +104,11 @@ static status_t check_value(component_t *c, unsigned reference, double value) {
 static void set_value(component_t *c, unsigned reference, double value) {
   if (c->value[reference] == value) return;
   c->value[reference] = value;
-  const long owner = c->model->owners[reference], first = owner < 0 ? 0 : owner;
-  const long last = owner < 0 ? c->model->n_contacts - 1 : owner;
-  for (long i = first; i <= last; i++) c->live[i].valid = 0, c->live[i].prepared &= owner >= 0;
+  const long owner = c->model->owners[reference];
+  if (owner < 0)
+    forget_values(c);
+  else
+    c->live[owner].valid = 0;
   c->now->settled = 0;
   c->changed |= c->now->phase == CONTINUOUS && kind_of(c->model, reference) == INPUT;
 }

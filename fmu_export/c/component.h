@@ -61,10 +61,7 @@ typedef struct {
 typedef struct {
   plan_t *plan; /* of its segment */
   int anchored;
-  unsigned valid;    /* groups that belong to time and inputs */
-  double *registers; /* of its equations */
-  int prepared;      /* their prologue has run, */
-  long leg;          /* on this leg */
+  unsigned valid; /* groups that belong to time and inputs */
 } live_t;
 
 typedef struct {
@@ -77,9 +74,9 @@ typedef struct {
   live_t *live;
   double *buffer;        /* a contact's scene for the engine */
   double (*grows)[L];    /* derivatives of all values */
-  double (*tangents)[L]; /* of the registers of equations */
-  double *registers;     /* of other tables, by which contacts start and are measured, */
-  double (*along)[L];    /* and their derivatives */
+  double *registers;     /* of the table that is run */
+  double (*tangents)[L]; /* derivatives of those of equations; */
+  double (*along)[L];    /* and of others, by which contacts start */
   failure_t failure;
   const char *called; /* the function of FMI that the importer has called */
   void (*log)(void);  /* its logger, of the type its version of FMI says */

@@ -164,9 +164,9 @@ static void grow_results(component_t *c, long i) {
   }
   if (!any) return;
   UNTRAPPED({
-    load_system(c, i, c->tangents);
-    c->engine->along(&(program_t){t->prologue, c->live[i].registers}, c->tangents);
-    c->engine->along(&(program_t){t->body, c->live[i].registers}, c->tangents);
+    double *r = load_system(c, i, c->tangents);
+    c->engine->along(&(program_t){t->prologue, r}, c->tangents);
+    c->engine->along(&(program_t){t->body, r}, c->tangents);
   });
   memcpy(results, c->tangents + t->first_out, room);
   for (long j = 0; j < n_results(l) && past_end(c); j++)

@@ -14,28 +14,25 @@ static void acting_on(const component_t *c, long i, double out[DISTURBANCES]) {
       out[2 * (int)window_of(c, k)[V_SLOT] + a] += scale * window_values(c, k)[2 + a];
 }
 
-/* Loads the registers with the point; the prologue runs where constants have changed. Before the
-   start, frames are put on their surfaces here; values keep them as they were set. grows: how the
-   point and constants do, NULL where no derivatives are asked for. */
-static void load_system(component_t *c, long i, double (*grows)[L]) {
+/* Loads the equations of contact i; returns their registers. Before the start, frames are put on
+   their surfaces here; values keep them as they were set. grows: how the point and constants do,
+   NULL where no derivatives are asked for. */
+static double *load_system(component_t *c, long i, double (*grows)[L]) {
   const model_t *m = c->model;
   const layout_t *l = m->layout + i;
   const table_t *t = system_of(m, i);
-  live_t *k = c->live + i;
-  double *r = k->registers;
-  const long which = leg_now(c, i);
-  const leg_t leg = leg_of(c, i, which);
+  const leg_t leg = leg_of(c, i, leg_now(c, i));
+  const double *column = m->data + (long)contact_of(m, i)[P_COLUMNS] + t->n_in;
+  double x[6 + 6 + 4]; /* two frames, W_1 and V at most */
+  memcpy(x, c->value + l->at[OF_STATES], (size_t)l->states * sizeof *x);
+  if (c->now->phase == INITIALIZATION) put_frames(c, i, x, grows);
+  for (long j = 0, own = 0; j < t->n_const; j++)
+    c->buffer[j] = column[j] >= 0 ? c->value[(long)column[j]] : leg.sigma[own++];
+  double *r = load_table(c, t);
   r[0] = c->now->time - leg.start;
-  memcpy(r + 1, c->value + l->at[OF_STATES], (size_t)l->states * sizeof *r);
-  if (c->now->phase == INITIALIZATION) put_frames(c, i, r + 1, grows);
+  memcpy(r + 1, x, (size_t)l->states * sizeof *x);
   acting_on(c, i, r + 1 + l->states);
-  if (k->prepared && k->leg == which && !grows) return;
-  const double *column = m->data + (long)contact_of(m, i)[P_COLUMNS];
-  for (long j = t->n_in, own = 0; j < t->n_in + t->n_const; j++)
-    r[j] = column[j] >= 0 ? c->value[(long)column[j]] : leg.sigma[own++];
-  k->leg = which;
-  if (!grows) c->engine->step(&(program_t){t->prologue, r});
-  k->prepared = !grows;
+  return r;
 }
 
 /* States without slip, or its rates */
@@ -53,8 +50,8 @@ static int has_no_rate(const component_t *c, long i) {
 /* The results of contact i at its states */
 static const double *run_system(component_t *c, long i) {
   const table_t *t = system_of(c->model, i);
-  UNTRAPPED(load_system(c, i, NULL); c->engine->step(&(program_t){t->body, c->live[i].registers}));
-  double *found = c->live[i].registers + t->first_out;
+  UNTRAPPED(c->engine->step(&(program_t){t->body, load_system(c, i, NULL)}));
+  double *found = c->registers + t->first_out;
   if (has_no_rate(c, i)) no_slip(c->model->layout + i, found);
   return found;
 }
