@@ -113,7 +113,8 @@ def _contact(table: Table, i: int, data: _Data) -> list[float]:
         *table.groups[i],
         *(data.numbers(table.columns(i)), _index(data.systems, own), *frame_sizes(*pair)),
         *(_index(data.systems, sensor), *unknowns),
-        *(data.numbers(legs), len(way), contact.angle),
+        *(data.numbers(legs), len(way)),
+        *(*contact.finger_at, -contact.angle, *contact.object_at, 0.0),  # as in SceneSystem.place
     ]
 
 

@@ -83,8 +83,8 @@ enum {
   P_UNKNOWNS,              /* and how many each body has in a pose: 3, a point, 2, coordinates */
   P_LEGS = P_UNKNOWNS + 2,
   P_N_LEGS,
-  P_ANGLE, /* psi at the start, in the turn that the scene gives */
-  P_SIZE
+  P_PLACES, /* u v theta of finger and object at the start, in the turn that the scene gives */
+  P_SIZE = P_PLACES + 6
 };
 /* what contact_sensor.py finds a contact by: steps so short end it, or so many; steps so short are
    rounding; bodies with so little relative curvature conform */

@@ -11,12 +11,12 @@ static double *load_table(component_t *c, const table_t *t) {
   return r;
 }
 
-/* Loads a table of a body's surface for numbers among these values, and how they grow or NULL. */
+/* Loads a table of a body's surface; numbers: how the surface's grow, or NULL. */
 static double *load_surface(component_t *c, const double *body, const table_t *t,
-                            const double *values, double (*numbers)[L]) {
+                            double (*numbers)[L]) {
   const size_t n = (size_t)body[Q_N_VALUES];
   c->buffer[0] = body[Q_SIGN];
-  memcpy(c->buffer + 1, values + (long)body[Q_VALUES], n * sizeof *values);
+  memcpy(c->buffer + 1, c->value + (long)body[Q_VALUES], n * sizeof *c->value);
   double *r = load_table(c, t);
   memset(c->along, 0, (size_t)t->n_regs * sizeof *c->along);
   if (numbers) memcpy(c->along + t->n_in + 1, numbers, n * sizeof *numbers);
@@ -30,7 +30,7 @@ static const char *put_on_surface(component_t *c, long i, int side, double frame
                                   double (*grows)[L], double (*numbers)[L]) {
   const double *body = body_of_contact(c->model, i, side);
   const table_t *t = surface_of(c->model, i, side)->ambient[A_RESTORE];
-  double *r = load_surface(c, body, t, c->value, numbers), moved = 1.0;
+  double *r = load_surface(c, body, t, numbers), moved = 1.0;
   memcpy(r, frame, 6 * sizeof *r);
   if (grows) memcpy(c->along, grows, 6 * sizeof *grows);
   for (int k = 0; k < 50 && moved > 1e-12; k++) {
@@ -56,16 +56,11 @@ static void keep_coordinates(component_t *c, long i, int side, double frame[6], 
   const layout_t *l = c->model->layout + i;
   const long at = (long)body[Q_VALUES];
   const int set = memcmp(c->value + at, starts + at, (size_t)body[Q_N_VALUES] * sizeof *starts);
-  const table_t *const *ambient = surface_of(c->model, i, side)->ambient, *t = ambient[A_START];
+  const table_t *t = surface_of(c->model, i, side)->ambient[A_START];
   if (!t || !(set || grows)) return;
   if (memcmp(frame, starts + l->at[OF_STATES] + side * l->frame[0], 6 * sizeof *frame)) return;
-  double *r = load_surface(c, body, ambient[A_COORDINATES], starts, NULL);
-  memcpy(r, frame, 6 * sizeof *r);
-  r[6] = r[7] = 0.0; /* velocity, which does not matter */
-  c->engine->step(&(program_t){ambient[A_COORDINATES]->body, r});
-  const double *y = r + ambient[A_COORDINATES]->first_out, place[3] = {y[0], y[1], y[4]};
-  load_surface(c, body, t, c->value, numbers);
-  memcpy(r, place, sizeof place);
+  double *r = load_surface(c, body, t, numbers);
+  memcpy(r, contact_of(c->model, i) + P_PLACES + 3 * side, 3 * sizeof *r);
   c->engine->along(&(program_t){t->body, r}, c->along);
   if (!all_finite(r + t->first_out, 6)) return;
   memcpy(frame, r + t->first_out, 6 * sizeof *frame);

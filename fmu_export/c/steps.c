@@ -14,7 +14,7 @@ static const char *place_contact(component_t *c, long i) {
   if (leaves_slip_behind(c, i)) no_slip(l, x);
   const double *coordinates = c->value + l->at[OF_COORDINATES]; /* whose psi is a principal value */
   const double turn = 6.283185307179586, psi = coordinates[8];
-  const double turns = rint((contact_of(m, i)[P_ANGLE] - psi) / turn);
+  const double turns = rint((-contact_of(m, i)[P_PLACES + 2] - psi) / turn);
   to[K_MOMENT] = 1.0; /* psi = -theta_1 - theta_2, R_0 = diag(1, -1) */
   for (int side = 0; side < 2; x += l->frame[side++]) {
     double *place = to + (side ? K_PLACE_2 : K_PLACE_1);
