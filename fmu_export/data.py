@@ -28,8 +28,8 @@ class _Data:
     def __init__(self) -> None:
         self.parts: list[bytes] = []
         self.size = HEADER
-        self.surfaces: list[Surface] = []
-        self.systems: list[Instructions] = []
+        self.surfaces: dict[Surface, int] = {}
+        self.systems: dict[Instructions, int] = {}
 
     def put(self, data: bytes) -> int:
         """Add bytes, filled up to whole doubles; returns their place."""
@@ -101,6 +101,7 @@ def _contact(table: Table, i: int, data: _Data) -> list[float]:
     pair = contact.finger, scene.object
     own, _ = equations(*table.structure(i))
     sensor = own if table.measured == "nothing" else measured(*pair, table.measured)
+    system, sense = (data.systems.setdefault(t, len(data.systems)) for t in (own, sensor))
     unknowns = [3 if s.has_implicit else 2 for s in pair] if table.measured == "pose" else [0, 0]
     legs: list[float] = []
     way = way_of(scene, contact)
@@ -111,24 +112,17 @@ def _contact(table: Table, i: int, data: _Data) -> list[float]:
     return [
         *_body(contact.finger, table.first[f"finger {i}"], data),
         *table.groups[i],
-        *(data.numbers(table.columns(i)), _index(data.systems, own), *frame_sizes(*pair)),
-        *(_index(data.systems, sensor), *unknowns),
+        *(data.numbers(table.columns(i)), system, *frame_sizes(*pair), sense, *unknowns),
         *(data.numbers(legs), len(way)),
         *(*contact.finger_at, -contact.angle, *contact.object_at, 0.0),  # as in SceneSystem.place
     ]
 
 
-def _index(items: list[Any], item: Any) -> int:
-    """Where it stands among them, to which it is added where it is new."""
-    known = next((k for k, other in enumerate(items) if other is item), len(items))
-    items += [item] * (known == len(items))
-    return known
-
-
 def _body(surface: Surface, at: int, data: _Data) -> list[float]:
     """The row of a body, whose first parameter has reference `at`."""
+    which = data.surfaces.setdefault(surface, len(data.surfaces))
     sizes = (surface.size, surface.bend, surface.reach)
-    return [at, len(surface.parameters), _index(data.surfaces, surface), surface.sign, *sizes]
+    return [at, len(surface.parameters), which, surface.sign, *sizes]
 
 
 def _orders(surface: Surface, at: int) -> list[int]:
