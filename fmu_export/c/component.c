@@ -115,17 +115,17 @@ static void set_value(component_t *c, unsigned reference, double value) {
 
 /* ---- Model Exchange ---- */
 
+/* All are set, or none. */
 static status_t set_states(component_t *c, const double *state) {
-  for (long i = 0, at = 0; i < c->model->n_contacts; at += c->model->layout[i++].states)
-    for (long j = 0; j < c->model->layout[i].states; j++)
-      if (check_value(c, (unsigned)(c->model->layout[i].at[OF_STATES] + j), state[at + j]))
-        return DISCARD;
-  for (long i = 0; i < c->model->n_contacts; i++) {
-    const layout_t *l = c->model->layout + i;
-    memcpy(c->value + l->at[OF_STATES], state, (size_t)l->states * sizeof *state);
-    state += l->states;
-  }
-  forget_values(c);
+  for (int sets = 0; sets < 2; sets++)
+    for (long i = 0, k = 0; i < c->model->n_contacts; i++) {
+      const layout_t *l = c->model->layout + i;
+      for (long r = l->at[OF_STATES]; r < l->at[OF_RATES]; r++, k++)
+        if (sets)
+          set_value(c, (unsigned)r, state[k]);
+        else if (check_value(c, (unsigned)r, state[k]))
+          return DISCARD;
+    }
   return OK;
 }
 

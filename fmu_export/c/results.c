@@ -162,13 +162,14 @@ static void grow_results(component_t *c, long i) {
     memcpy(c->tangents[r], c->grows[(long)column[r]], sizeof *c->tangents);
     for (int d = 0; d < L; d++) any |= c->tangents[r][d] != 0.0;
   }
-  if (!any) return;
-  UNTRAPPED({
-    double *r = load_system(c, i, c->tangents);
-    c->engine->along(&(program_t){t->prologue, r}, c->tangents);
-    c->engine->along(&(program_t){t->body, r}, c->tangents);
-  });
-  memcpy(results, c->tangents + t->first_out, room);
+  if (any) {
+    UNTRAPPED({
+      double *r = load_system(c, i, c->tangents);
+      c->engine->along(&(program_t){t->prologue, r}, c->tangents);
+      c->engine->along(&(program_t){t->body, r}, c->tangents);
+    });
+    memcpy(results, c->tangents + t->first_out, room);
+  }
   for (long j = 0; j < n_results(l) && past_end(c); j++)
     for (int d = 0; d < L; d++) results[j][d] = NAN;
 }
