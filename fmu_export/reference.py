@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import zipfile
-from typing import Any
 
 import fmpy
 import numpy as np
@@ -81,9 +80,9 @@ def check_fmu(path: str | os.PathLike, bar: float = 1e-10) -> float:
     known = {v.name for v in fmpy.read_model_description(str(path)).modelVariables}
     # of arrays the name without .x, .y, .z
     output = {n if n in known else n.rpartition(".")[0]: None for n in names[1:]}
-    given: dict[str, Any] = {"stop_time": wanted[-1, 0], "output_interval": wanted[1, 0]}
+    times = {"stop_time": wanted[-1, 0], "output_interval": wanted[1, 0]}
     try:
-        result = fmpy.simulate_fmu(str(path), fmi_type="CoSimulation", output=[*output], **given)
+        result = fmpy.simulate_fmu(str(path), fmi_type="CoSimulation", output=[*output], **times)
     except Exception as error:  # fmpy raises bare ones
         raise ContactSystemError(f"{path}: Co-Simulation cannot be run here: {error}") from error
     found = np.hstack([result[name].reshape(len(result), -1) for name in ("time", *output)])

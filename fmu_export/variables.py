@@ -144,7 +144,8 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
 
     law, *surfaces = _parameters(scene)
     first = {"gain": add(law[:1]), "profile": add(law[1:])}
-    first["scale"] = add([_parameter("disturbances.scale", 1.0, NONE, SCALE)])
+    text = "Factor of the scene's own disturbances; 0 leaves them out"
+    first["scale"] = add([_parameter("disturbances.scale", 1.0, NONE, text)])
     first |= {key: add(own) for key, own in zip(bodies, surfaces)}
     first["windows"] = add(_window_rows(scene))
     system, groups = SceneSystem(scene, "frame", True), []
@@ -191,9 +192,6 @@ def _require_names(table: Table) -> None:
                 f"{table.scene.title}: two variables of the FMU would be called {name}; "
                 f"give the surface's parameter '{name.rpartition('.')[2]}' another name"
             )
-
-
-SCALE = "Factor of the scene's own disturbances; 0 leaves them out"
 
 
 def _parameter(name: str, value: float, unit: Unit | None, text: str, **more: Any) -> Variable:

@@ -39,7 +39,7 @@ static status_t save(component_t *c, void **state) {
   return OK;
 }
 
-/* A state from its bytes. The checksum guards against damage, not against people with intent. */
+/* A state from its bytes. The checksum guards against damage, not against forgery. */
 static status_t read_state(component_t *c, const void *bytes, size_t count, void **state) {
   const saved_t *own = c->own;
   saved_t *s = new_saved(c->model);
