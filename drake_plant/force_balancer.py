@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
@@ -57,7 +59,7 @@ class ForceBalancer(LeafSystem):
         n = len(scene_plant.finger_bodies)
         self._least, self._index = least, int(body.index())
         self._config: StationConfig = config
-        self._inertia = body.default_spatial_inertia()
+        self._inertia = copy(body.default_spatial_inertia())  # the body's own would keep the plant
         self._gravity = gravity_on(plant, body)
         self.DeclareAbstractParameter(Value(plant.GetDefaultFloatingBaseBodyPose(body)))
         self._points = self.DeclareVectorInputPort("contact_point", 6 * n)

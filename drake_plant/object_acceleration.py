@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -58,7 +59,7 @@ class ObjectAcceleration(LeafSystem):
                 "give it a model instance of its own, or a time step, such as 0.001 s"
             )
         self._index, self._count = int(body.index()), plant.num_bodies()
-        self._inertia = body.default_spatial_inertia()
+        self._inertia = copy(body.default_spatial_inertia())  # the body's own would keep the plant
         self._gravity = gravity_on(plant, body)
         self._forces = self.DeclareVectorInputPort("generalized_contact_forces", size)
         self._poses, self._velocities = declare_plant_inputs(
