@@ -13,15 +13,17 @@ docs/drake-contact.md says what each term is worth.
 from __future__ import annotations
 
 import math
+from copy import copy
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.multibody.math import SpatialForce
+from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
-from pydrake.multibody.tree import BodyIndex, world_index
+from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context, LeafSystem
 
 from contact_system import Scene, SceneError
@@ -30,10 +32,11 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
+from .balance import needed_wrench
 from .config import require_config
 from .lifetimes import NO_DICTIONARY, weakly
 from .planner_base import MOTION
-from .plant import ScenePlant, declare_plant_inputs
+from .plant import ScenePlant, declare_plant_inputs, gravity_on
 from .scratch import FingerTables, PerThread, halves, named, split
 from .tip_law import CONSTANT, SHARE, TIP, tip_constants, tip_wrench
 
@@ -92,15 +95,17 @@ class FingertipDriver(LeafSystem):
         - motion
         - body_poses
         - body_spatial_velocities
-        - body_spatial_accelerations
+        - body_spatial_accelerations, or generalized_contact_forces
         - contact_forces (optional)
         - sliding (optional)
         - push (optional)
         output_ports:
         - spatial_forces
 
-    The first is :class:`ContactPlanner`'s output, the next three are the plant's. What is optional
-    is zero where nothing is connected:
+    The first is :class:`ContactPlanner`'s output, the next three are the plant's. The accelerations
+    of a continuous plant depend on the forces that are made of them; it gives the contact forces of
+    the object's model instance instead, which with gravity are taken to move the object. What is
+    optional is zero where nothing is connected:
 
     - `contact_forces` (3n): forces of the fingers on the object in the world, N, as a
       :class:`ForceBalancer` gives them; where nothing is connected, the configuration's
@@ -115,16 +120,17 @@ class FingertipDriver(LeafSystem):
     ----------
     scene_plant : ScenePlant
         Finalized; if it is discrete, with sampled output ports as Drake's own are, and if it is
-        continuous, with an ``object_acceleration.ObjectAcceleration`` for the accelerations. Its
-        configuration says the normal force and the gains, its bodies' defaults the masses, whatever
-        a Context says.
+        continuous, with an object that is free, alone in its model instance, or welded to the
+        world. Its configuration says the normal force and the gains, its bodies' defaults the
+        masses, whatever a Context says.
 
     Raises
     ------
     SceneError
         A discrete plant without sampled output ports, or whose steps are too long for a finger; a
-        finger that is not free, or whose mass centre is not its origin; in a simulation a time
-        beyond the scene's end, up to which the meshes of AddScenePlant reach.
+        continuous one with its object on joints; a finger that is not free, or whose mass centre is
+        not its origin; in a simulation a time beyond the scene's end, up to which the meshes of
+        AddScenePlant reach.
     """
 
     __slots__ = NO_DICTIONARY
@@ -132,20 +138,27 @@ class FingertipDriver(LeafSystem):
     def __init__(self, scene_plant: ScenePlant):
         super().__init__()
         require_config(scene_plant, ScenePlant, "scene_plant")
-        fingers = scene_plant.finger_bodies
+        fingers, plant, body = scene_plant.finger_bodies, scene_plant.plant, scene_plant.object_body
         # What the plant is made from; the plant itself would keep this system for ever.
         self.scene, self.config = scene_plant.scene, scene_plant.config
-        self.object_index = int(scene_plant.object_body.index())
-        self._object_center = np.array(scene_plant.object_body.default_com())
+        self.object_index = int(body.index())
+        self._inertia = copy(body.default_spatial_inertia())
+        self._gravity = gravity_on(plant, body)
         self.finger_indices = [int(body.index()) for body in fingers]
         _check(scene_plant)
         constants = [tip_constants(body, scene_plant, hold=0.0) for body in fingers]
         self._laws = PerThread(partial(FingerTables, driving_law(), POINT, constants), {})
         n = len(fingers)
         self._motion = self.DeclareVectorInputPort("motion", sum(MOTION.values()) * n)
-        self._poses, self._velocities, self._accelerations = declare_plant_inputs(
-            self, "body_poses", "body_spatial_velocities", "body_spatial_accelerations"
+        self._poses, self._velocities = declare_plant_inputs(
+            self, "body_poses", "body_spatial_velocities"
         )
+        self._discrete = plant.time_step() > 0
+        if self._discrete:
+            (self._accelerating,) = declare_plant_inputs(self, "body_spatial_accelerations")
+        else:
+            size = 6 * body.is_floating_base_body()
+            self._accelerating = self.DeclareVectorInputPort("generalized_contact_forces", size)
         self._optional = {
             "contact_force": self.DeclareVectorInputPort("contact_forces", 3 * n),
             "sliding": self.DeclareVectorInputPort("sliding", 3 * n),
@@ -158,10 +171,10 @@ class FingertipDriver(LeafSystem):
 
     def _CalcForces(self, context: Context, output: Value) -> None:
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
-        A, o, law = self._accelerations.Eval(context), self.object_index, self._laws.own
-        x, n = law.x, len(self.finger_indices)
+        o, law = self.object_index, self._laws.own
+        x, n, given = law.x, len(self.finger_indices), self._accelerating.Eval(context)
         law.put(X, V, o, self.finger_indices)
-        x["A_WO"][:] = A[o].get_coeffs()
+        x["A_WO"][:] = given[o].get_coeffs() if self._discrete else self._Falling(X[o], V[o], given)
         x["motion"][:] = self._motion.Eval(context).reshape(n, -1)
         for name, port in self._optional.items():
             given = port.HasValue(context)
@@ -172,8 +185,18 @@ class FingertipDriver(LeafSystem):
         forces = [_force(*each) for each in zip(self.finger_indices, law.results)]
         push = self._optional["push"]
         if push.HasValue(context) and (pushed := push.Eval(context)[-3:]).any():
-            forces.append(_force(o, np.append(np.zeros(3), pushed), self._object_center))
+            forces.append(_force(o, np.append(np.zeros(3), pushed), self._inertia.get_com()))
         output.set_value(forces)
+
+    def _Falling(self, X_WO: RigidTransform, V_WO: SpatialVelocity, contact: Array) -> Array:
+        """A_WO of the object by gravity and its contacts, whose forces are none if it is welded."""
+        if not contact.size:
+            return np.zeros(6)
+        R_WO, w, rest = X_WO.rotation().matrix(), V_WO.rotational(), np.zeros(3)
+        force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], w, rest, rest)
+        acts = contact.reshape(2, 3) @ R_WO - np.vstack([torque, force])
+        A_WO = np.linalg.solve(self._inertia.CopyToFullMatrix6(), acts.ravel())
+        return (A_WO.reshape(2, 3) @ R_WO.T).ravel()
 
 
 def _force(body: int, F_Bq_W: Array, p_BoBq_B: Any = (0, 0, 0)) -> ExternallyAppliedSpatialForce:
@@ -199,19 +222,26 @@ def _check(parts: ScenePlant) -> None:
     A force N that presses a body of size a on one of size b pushes it off with N/(a + b) times the
     error.
     """
-    scene, config, step = parts.scene, parts.config, parts.plant.time_step()
-    if step and not parts.plant.has_sampled_output_ports():  # Drake would tell of an algebraic loop
+    scene, config, plant, obj = parts.scene, parts.config, parts.plant, parts.object_body
+    step, free = plant.time_step(), obj.is_floating_base_body()
+    alone = plant.num_velocities(obj.model_instance()) == 6 * free
+    if step and not plant.has_sampled_output_ports():  # Drake would tell of an algebraic loop
         raise SceneError(
             f"{scene.title}: the plant has no sampled output ports, so that its accelerations "
             "depend on the forces that are made from them; give MultibodyPlantConfig "
             "use_sampled_output_ports=True"
         )
-    joints = list(map(parts.plant.get_joint, parts.plant.GetJointIndices()))
+    if not step and not (alone and (free or plant.IsAnchored(obj))):
+        raise SceneError(
+            f"{scene.title}: time_step = 0: the object is on a joint, or with others in its model "
+            "instance, so that its acceleration is not known beforehand; give it a model instance "
+            "of its own, or a time step, such as 0.001 s"
+        )
+    joints = list(map(plant.get_joint, plant.GetJointIndices()))
     for i, (contact, body) in enumerate(zip(scene.contacts, parts.finger_bodies)):
         for joint in joints:
-            inboard, index = joint.parent_body().index(), body.index()
-            free = joint.num_velocities() == 6 and inboard == world_index()
-            if inboard == index or (joint.child_body().index() == index and not free):
+            parent, child = joint.parent_body().index(), joint.child_body().index()
+            if parent == body.index() or (child == body.index() and joint.num_velocities() != 6):
                 raise SceneError(
                     f"{scene.title}, contact {i}: body '{body.name()}' is not free, but has the "
                     f"joint '{joint.name()}'; forces are made for a body that moves alone: take "

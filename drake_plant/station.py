@@ -33,7 +33,6 @@ from .fingertip_driver import FingertipDriver
 from .force_balancer import COLUMNS, ForceBalancer
 from .hand_driver import HandDriver
 from .hand_kinematics import moving_joints
-from .object_acceleration import ObjectAcceleration
 from .plan_check import TOLERANCE
 from .plan_source import PlanSource
 from .planner_base import EARLY, PlannerBase
@@ -116,16 +115,14 @@ def build(
     driver = builder.AddNamedSystem("driver", FingertipDriver(parts))
     monitor = _add_monitor(builder, parts, planned, driver)
     plant = parts.plant
-    accelerating: LeafSystem = plant
-    if not config.time_step:
-        accelerating = builder.AddNamedSystem("object_acceleration", ObjectAcceleration(parts))
-        instance = parts.object_body.model_instance()
-        forces = plant.get_generalized_contact_forces_output_port(instance)
-        builder.Connect(forces, accelerating.GetInputPort("generalized_contact_forces"))
-        wire(builder, plant, accelerating, *MOTIONS)
     wire(builder, planner, driver, "motion")
     wire(builder, plant, driver, *MOTIONS)
-    wire(builder, accelerating, driver, "body_spatial_accelerations")
+    if config.time_step:
+        wire(builder, plant, driver, "body_spatial_accelerations")
+    else:
+        instance = parts.object_body.model_instance()
+        forces = plant.get_generalized_contact_forces_output_port(instance)
+        builder.Connect(forces, driver.GetInputPort("generalized_contact_forces"))
     if config.restarts:
         builder.Connect(monitor.GetOutputPort("state"), planner.GetInputPort("measured_state"))
     applied = plant.get_applied_spatial_force_input_port()
