@@ -63,7 +63,7 @@ class PlannerBase(_System):
         self.system, self._period, self._fed_through = system, period, {"derivatives"}
         n = len(system.scene.contacts)
         if x0 is not None:
-            self.DeclareContinuousState(_vector(x0, self.T))
+            self.DeclareContinuousState(BasicVector_[self.T](x0))
         # Nothing happens, but no integrator steps across an edge: a step ends before it, and the
         # next one begins at it.
         for edge in system.edges:
@@ -71,14 +71,14 @@ class PlannerBase(_System):
                 self.DeclarePeriodicPublishEvent(ONCE, time, lambda context: None)
         turns = system.corners if x0 is not None else ()
         if len(system.held0) and x0 is not None and (turns or period is not None):
-            self._held = self.DeclareDiscreteState(_vector(system.held0, self.T))
+            self._held = self.DeclareDiscreteState(BasicVector_[self.T](system.held0))
         for edge in turns:
             self.DeclarePeriodicUnrestrictedUpdateEvent(ONCE, edge, weakly(self._Turn, edge))
         if system.disturbance_input:
             self._disturbance = self.DeclareVectorInputPort("disturbance", 6 * n)
         if period is not None:
             self._measured = self.DeclareVectorInputPort("measured_state", 9 * n)
-            self._restarts = self.DeclareDiscreteState(_vector(np.zeros(n), self.T))
+            self._restarts = self.DeclareDiscreteState(BasicVector_[self.T](np.zeros(n)))
             # A little early: 3 * 0.1 s comes after 300 * 1 ms in floating point, and a discrete
             # plant that has stepped already would be measured a step ahead of the planner.
             first, restart = period - EARLY, weakly(self._Restart)
@@ -120,14 +120,17 @@ class PlannerBase(_System):
 
     def _Turn(self, edge: float, context: Any, state: Any) -> None:
         """Contacts go on along their next legs, or without slip from a rest."""
-        x = context.get_continuous_state_vector().CopyToVector().ravel()
-        held = self.system.held0
-        if self._held is not None:
-            held = context.get_discrete_state(self._held).CopyToVector().ravel()
+        x, held = self._StateAndHeld(context)
         x, held = self.system.turned(edge, x, held, self._Numbers(context, "carried"))
         state.get_mutable_continuous_state().SetFromVector(x)
         if self._held is not None:
             state.get_mutable_discrete_state(self._held).SetFromVector(held)
+
+    def _StateAndHeld(self, context: Any) -> tuple[Array, Array]:
+        x, held = context.get_continuous_state_vector(), self.system.held0
+        if self._held is not None:
+            held = context.get_discrete_state(self._held).CopyToVector().ravel()
+        return x.CopyToVector().ravel(), held
 
     def _Prerequisites(self, *outputs: str) -> set:
         """What outputs depend on, from the sparsity of their functions."""
@@ -142,31 +145,18 @@ class PlannerBase(_System):
             found.add(self.input_port_ticket(self._disturbance.get_index()))
         return found or {self.nothing_ticket()}
 
-    # --- what disturbs, for every scalar ---------------------------------------------------
+    def _Acting(self, context: Any, *outputs: str) -> Array:
+        """What windows and the disturbance port add, (n_w,).
 
-    def _Windows(self, context: Any) -> Array:
-        """What the windows add: (n_w,)."""
-        w, t = scalars_of(np.zeros(self.system.n_w), self.T), context.get_time()
+        Outputs without feedthrough do not ask the port, which may depend on them.
+        """
+        t, port = context.get_time(), self._disturbance
+        w = np.zeros(self.system.n_w, float if self.T is float else object)
         for d, rows in self.system.windows:
             acts = select(t >= d.start, 1.0, 0.0) - select(t >= d.stop, 1.0, 0.0)
             for k, value in enumerate(d.value, rows.start):
                 w[k] += acts * value
+        fed = port is not None and not self._fed_through.isdisjoint(outputs)
+        if fed and port.HasValue(context):
+            w[:] = [a + b for a, b in zip(w, port.Eval(context).ravel())]  # numpy warns of branches
         return w
-
-    def _Disturbance(self, context: Any, *outputs: str) -> Array | None:
-        """What the disturbance port adds, (n_w,), or None.
-
-        Outputs without feedthrough do not ask the port, which may depend on them.
-        """
-        port = self._disturbance
-        if port is None or self._fed_through.isdisjoint(outputs) or not port.HasValue(context):
-            return None
-        return port.Eval(context).ravel()
-
-
-def scalars_of(values: Array, T: type) -> Array:
-    return values if T is float else np.array([T(v) for v in values], dtype=object)
-
-
-def _vector(values: Array, T: type) -> Any:
-    return BasicVector_[T](scalars_of(values, T))

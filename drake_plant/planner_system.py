@@ -305,10 +305,7 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     def _LoadRest(self, context: Any, own: Scratch, t: float, outputs: tuple[str, ...]) -> None:
         """What the windows and the disturbance port add at t, and held numbers."""
-        added = self._Disturbance(context, *outputs)
-        own.w[:] = self._Windows(context)
-        if added is not None:
-            own.w += added
+        own.w[:] = self._Acting(context, *outputs)
         if self._held is not None:
             own.held[:] = context.get_discrete_state(self._held).value()
         if self._held is self._disturbance is None:
@@ -380,13 +377,8 @@ def _scalar_planner(T: type) -> type:
             derivatives.SetFromVector(self._Numbers(context, "derivatives"))
 
         def _Parts(self, context: Any, *outputs: str) -> list[Array]:
-            system, w, held = self.system, self._Windows(context), self.system.held0
-            added = self._Disturbance(context, *outputs)
-            if added is not None:
-                w = np.array([a + b for a, b in zip(w, added)])  # numpy warns of branches
-            if self._held is not None:
-                held = context.get_discrete_state(self._held).CopyToVector().ravel()
-            x = context.get_continuous_state_vector().CopyToVector().ravel()
+            system, (x, held) = self.system, self._StateAndHeld(context)
+            w = self._Acting(context, *outputs)
             arguments = [[context.get_time()], x, w, held, system.parameters]
             return [evaluate_scalars(system.function(name), arguments, T) for name in outputs]
 
