@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from contact_system import Plan, SceneError
-from contact_system.checks import finite_number
+from contact_system.checks import Array, finite_number
 from contact_system.plan import require_plan
 
 FIRST, MOST = 64, 2**17
@@ -71,62 +72,50 @@ def MakeTrajectories(plan: Plan, contact: int = 0, tolerance: float = 1e-5) -> C
         raise SceneError(f"{plan.scene.title}: contact = {contact!r}: give one of 0 to {count - 1}")
     finite_number(tolerance, f"{plan.scene.title}: tolerance", "above 0")
     edges = [e for e in plan.scene.edges if plan.start < e < plan.end]
-    spans = list(zip([plan.start, *edges], [*edges, plan.end]))
-    parts: list[_Part] = []
-    for span in spans:
-        pieces = FIRST
-        while (part := _Part(plan, contact, span, pieces)).error() > tolerance:
-            pieces *= 2
-            if pieces > MOST:
-                raise SceneError(
-                    f"{plan.scene.title}, contact {contact}: tolerance = {tolerance:g} takes more "
-                    f"than {MOST} pieces between t = {span[0]:g} and {span[1]:g} s; give a larger "
-                    "one, or ask a PlanSource"
-                )
-        parts.append(part)
-    whole, *others = (part.cubic() for part in parts)
+    spans = itertools.pairwise([plan.start, *edges, plan.end])
+    t, turns, (whole, *others) = zip(*(_fitted(plan, contact, span, tolerance) for span in spans))
     for other in others:
         whole.ConcatenateInTime(other)
     twist, position, *points = (whole.Block(k, 0, n, 1) for k, n in ROWS)
     # neighbouring parts share a break
-    breaks = np.concatenate([parts[0].t[:1], *(part.t[1:] for part in parts)])
-    turns = np.concatenate([parts[0].turn[:1], *(part.turn[1:] for part in parts)])
-    slerp = PiecewiseQuaternionSlerp(breaks.tolist(), [RotationMatrix(R) for R in turns])
-    pose = PiecewisePose(position, slerp)
+    breaks, first = np.unique(np.concatenate(t), return_index=True)
+    rotations = [RotationMatrix(R) for R in np.concatenate(turns)[first]]
+    pose = PiecewisePose(position, PiecewiseQuaternionSlerp(breaks.tolist(), rotations))
     return ContactTrajectories(plan, contact, tolerance, pose, twist, *points)
 
 
-class _Part:
-    """Values at the breaks between two edges, and half-way between breaks.
-
-    t (m + 1), values (m + 1, 15), turn (m + 1, 3, 3)
-    """
-
-    def __init__(self, plan: Plan, contact: int, span: tuple[float, float], pieces: int):
+def _fitted(
+    plan: Plan, contact: int, span: tuple[float, float], tolerance: float
+) -> tuple[Array, Array, PiecewisePolynomial]:
+    """Breaks between two edges, (m + 1), rotations there, and cubics of the rest, (15, 1)."""
+    pieces = FIRST
+    while pieces <= MOST:
         t = np.linspace(*span, 2 * pieces + 1)
         asked = t.copy()
         asked[-1] = np.nextafter(t[-1], t[0])  # a plan tells what is after an edge
         found = plan.evaluate(asked, "twist", "pose", "points")
         X, twist = found["pose"][:, contact], found["twist"][:, contact]
-        points = found["points"][:, contact].reshape(-1, 6)
-        values = np.hstack([twist, X[:, :3, 3], points])
-        self.t, self.values, self.turn = t[::2], values[::2], X[::2, :3, :3]
-        self._half, self._there, self._turned = t[1::2], values[1::2], X[1::2, :3, :3]
-        self._spline, self._size = CubicSpline(self.t, self.values), plan.scene.object.size
+        values = np.hstack([twist, X[:, :3, 3], found["points"][:, contact].reshape(-1, 6)])
+        breaks, spline = t[::2], CubicSpline(t[::2], values[::2])
+        if _error(spline, t, values, X[:, :3, :3], plan.scene.object.size) <= tolerance:
+            rates = spline(breaks, 1)
+            cubics = PiecewisePolynomial.CubicHermite(breaks, values[::2].T, rates.T)
+            return breaks, X[::2, :3, :3], cubics
+        pieces *= 2
+    raise SceneError(
+        f"{plan.scene.title}, contact {contact}: tolerance = {tolerance:g} takes more than {MOST} "
+        f"pieces between t = {span[0]:g} and {span[1]:g} s; give a larger one, or ask a PlanSource"
+    )
 
-    def error(self) -> float:
-        """The greatest, half-way between breaks, in tolerances of 1."""
-        turning = np.linalg.norm(self.values[:, :3], axis=1).max()
-        if turning * (self.t[1] - self.t[0]) > 1.0:  # rad; whole turns in a piece look like none
-            return np.inf
-        off = np.abs(self._spline(self._half) - self._there)
-        scale = np.full(15, self._size)
-        for rows in (slice(0, 3), slice(3, 6)):
-            scale[rows] = np.abs(self.values[:, rows]).max() or 1.0
-        before, after = Rotation.from_matrix(self.turn[:-1]), Rotation.from_matrix(self.turn[1:])
-        half = before * Rotation.from_rotvec((before.inv() * after).as_rotvec() / 2)
-        turned = (half.inv() * Rotation.from_matrix(self._turned)).magnitude()
-        return max(float((off / scale).max()), float(turned.max()))
 
-    def cubic(self) -> PiecewisePolynomial:
-        return PiecewisePolynomial.CubicHermite(self.t, self.values.T, self._spline(self.t, 1).T)
+def _error(spline: CubicSpline, t: Array, values: Array, turns: Array, size: float) -> float:
+    """The greatest half-way between breaks, in tolerances of 1; values and turns at all t."""
+    turning = np.linalg.norm(values[:, :3], axis=1).max()
+    if turning * (t[2] - t[0]) > 1.0:  # rad; whole turns in a piece look like none
+        return np.inf
+    greatest = [np.abs(values[:, k : k + 3]).max() or 1.0 for k in (0, 3)]
+    scale = np.repeat([*greatest, size], [3, 3, 9])
+    off = np.abs(spline(t[1::2]) - values[1::2]) / scale
+    at, between = Rotation.from_matrix(turns[::2]), Rotation.from_matrix(turns[1::2])
+    half = at[:-1] * Rotation.from_rotvec((at[:-1].inv() * at[1:]).as_rotvec() / 2)
+    return max(float(off.max()), float((half.inv() * between).magnitude().max()))
