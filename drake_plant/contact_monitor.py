@@ -46,7 +46,7 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from contact_system import Plane, Scene, SceneError, Surface
 from contact_system.checks import Array
-from contact_system.contact_sensor import ON_OBJECT, SLIP, STATES, VELOCITY, ContactSensor
+from contact_system.contact_sensor import GAP, ON_FINGER, ON_OBJECT, SLIP, STATES, ContactSensor
 from contact_system.scene import require_scene
 from contact_system.scene.contact import rolled
 from contact_system.theory import symbols as ca
@@ -75,11 +75,11 @@ NOTHING = np.zeros(3).data
 SEEN = {"X_WO": 12, "V_WO": 6, "X_WF": 12, "V_WF": 6, "point": 3, "force": 3, "torque": 3}
 """What is seen of a contact: bodies, the point C where it acts, the force on the finger, and its
 torque about C, in the world."""
-PRESSED = {"at": 3, "E2": 9, "K2": 4, "K1": 4, "gap": 1, "velocity": 3}
-PRESSED |= {"point": 3, "force": 3, "torque": 3, "X_OF": 12, "bends": 1}
+PRESSED = {"at": 3, "E2": 9, "K2": 4, "K1": 4, "gap": 1}
+PRESSED |= {"point": 3, "force": 3, "torque": 3, "bends": 1}
 """What is known of a contact that presses: what a probe finds from the object's point on; the point
-C, force and torque about it in O where the step began; the finger's pose now; how much of the
-contact bends with the finger."""
+C, force and torque about it in O where the step began; how much of the contact bends with the
+finger."""
 # Bodies planned on the radii that they roll on meet there. A plane has no radius: there it is where
 # the planned finger's surface is.
 AT_FINGER = 1.0
@@ -300,7 +300,7 @@ class ContactGauges:
         self._probes = ContactSensor(scene, TOLERANCE).probes
         steps = [[step]] * len(self._probes)
         self._motions = FingerTables(_motion(), SEEN, steps)
-        self._forces = FingerTables(_forces(), PRESSED, steps)
+        self._forces = FingerTables(_forces(), PRESSED, [[]] * len(steps))
         self._result = np.zeros((len(steps), NUMBERS))
         x = self._motions.x
         self._acting = [*zip(x["point"], x["force"], x["torque"])]
@@ -352,17 +352,15 @@ class ContactGauges:
                 probe.find(moved[21:24], moved[18:21])
             else:
                 probe.find(probe.approach())
-            given[:24], given[24:45], given[45] = found[ON_OBJECT.start :], moved[21:42], bends
-            if not math.isfinite(sum(found[VELOCITY])):  # at a pole it is not known where it goes
-                given[21:24] = NOTHING
-            result[:2] = found[SLIP]
+            given[:21], given[21:30] = found[ON_OBJECT.start : GAP + 1], moved[21:30]
+            given[30], result[:2] = bends, found[SLIP]
         self._forces.run()
         for probe, told, numbers in zip(self._probes, self._told, self._numbers):
             seen, found, moved, _, forces, result = numbers
-            result[2:5] = forces[:3] if told[0] else NOTHING
+            result[2:5] = forces if told[0] else NOTHING
             # where the contact is now, with the slip of the step
             seen[:18], seen[18], seen[19], seen[20:] = moved[30:48], 0.0, 1.0, result[:2]
-            probe.find(forces[3:6], forces[6:9])
+            probe.find(found[ON_OBJECT], found[ON_FINGER])
             result[5:14], result[14:17] = found[STATES], found[ON_OBJECT]
         return self._result
 
@@ -399,12 +397,11 @@ def _moved(R: ca.SX, p: ca.SX, w: ca.SX, v: ca.SX, later: ca.SX) -> tuple[ca.SX,
 
 @per_structure
 def _forces() -> Table:
-    """`PRESSED`; a step -> normal force and tangential force in E2 (3), and where the contact point
-    goes in that step, in O and in F.
+    """`PRESSED` -> normal force, tangential force in E2, (3).
 
     The normal is that at the centre of pressure, to first order.
     """
-    (row, x), step = named(PRESSED), ca.SX.sym("step")
+    row, x = named(PRESSED)
     E2, K2, K1 = ca.reshape(x.E2, 3, 3), ca.reshape(x.K2, 2, 2), ca.reshape(x.K1, 2, 2)
     arm, force, torque = (E2.T @ v for v in (x.point - x.at, x.force, x.torque))
     curvature = K2 - x.bends * (K2 + K1)
@@ -413,7 +410,5 @@ def _forces() -> Table:
     offset = ca.if_else(force[2] > 0, ca.vertcat(-torque[1], torque[0]) / pressing, 0)
     tilt = curvature @ (arm[:2] + offset)
     normal = force[2] + ca.dot(tilt, force[:2])
-    ahead = x.at + step * x.velocity
-    in_finger = x.R_OF.T @ (ahead - x.p_OF)
-    found = ca.vertcat(normal, force[:2] - normal * tilt, ahead, in_finger)
-    return Table(ca.Function("forces", [row, step], [ca.densify(found)]))
+    found = ca.vertcat(normal, force[:2] - normal * tilt)
+    return Table(ca.Function("forces", [row, ca.SX(0, 1)], [ca.densify(found)]))
