@@ -58,9 +58,7 @@ def check_depth(scene: Scene, config: StationConfig) -> None:
 
 
 def least_radius(body: Surface) -> float:
-    if isinstance(body, Quadric) and body.chart.central:
-        return float(np.linalg.eigvalsh(body.A)[-1] ** -0.5)
-    return min(getattr(body, name) for name in RADII.get(type(body), ("size",)))
+    return body.c if isinstance(body, Ellipsoid) else body.bend
 
 
 def rolling_scene(scene: Scene, config: StationConfig) -> Scene:
@@ -139,8 +137,7 @@ def _smaller_implicit(surface: ImplicitSurface, by: float) -> ImplicitSurface:
 
 def depth_between(nominal: Surface, planned: Surface) -> float:
     """By how much `_smaller` made a surface smaller, m."""
-    name, *_ = RADII.get(type(nominal), ("size",))
-    less = getattr(nominal, name) - getattr(planned, name)
+    less = nominal.size - planned.size
     return -less if nominal.inside else less
 
 
@@ -219,9 +216,11 @@ def _mean_curvature(surface: Surface, points: Array) -> float:
 def _check_apart(scene: Scene, times: Array, places: Array) -> None:
     """Refuse fingers that would overlap, as they do not collide here; places (m, n, 3).
 
-    A finger is taken as the ball about its origin that fits into it, a sphere as what it is.
+    A finger is taken as the ball about its origin that fits into it, a sphere as what it is; of
+    other surfaces that is not known.
     """
-    radii = [_inner_radius(contact.finger) for contact in scene.contacts]
+    round_ones = (Sphere, Ellipsoid, Quadric)
+    radii = [least_radius(c.finger) * isinstance(c.finger, round_ones) for c in scene.contacts]
     for i, j in itertools.combinations(range(len(radii)), 2):
         apart = np.linalg.norm(places[:, i] - places[:, j], axis=1) - (radii[i] + radii[j])
         k = int(np.argmin(apart))
@@ -231,8 +230,3 @@ def _check_apart(scene: Scene, times: Array, places: Array) -> None:
                 f"{-apart[k]:.3g} m at t = {times[k]:.3g} s; move one of them, shorten the scene "
                 "or make them smaller"
             )
-
-
-def _inner_radius(finger: Surface) -> float:
-    """Radius of the ball about the origin that fits into a finger, m; 0 if it is not known."""
-    return least_radius(finger) if isinstance(finger, (Sphere, Ellipsoid, Quadric)) else 0.0
