@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import correlate1d
 
 from contact_system import Plan, plan
 from contact_system.checks import Array
@@ -163,20 +164,14 @@ def _each(ax: Any, t: Array, values: Array, **line: Any) -> None:
 
 
 def _draw_rippling(ax: Any, t: Array, values: Array, wanted: Array, top: float) -> None:
-    for i, own in enumerate(values.T):
-        _ripple(ax, t, own, colour_of(i))
+    """Signals, pale, and their running means, from the first step on, and what is wanted."""
+    late, values = t[1:], values[1:]
+    _each(ax, late, values, linewidth=0.5, alpha=0.35)
+    width = max(1, round(SMOOTH / (late[1] - late[0]))) if len(late) > 1 else 1
+    means = correlate1d(values, np.full(width, 1 / width), axis=0, mode="nearest")
+    _each(ax, late, means, linewidth=1.5)
     ax.plot(t, wanted, color=INK, linewidth=0.9, linestyle=":")
     ax.set_ylim(0.0, top or None)
-
-
-def _ripple(ax: Any, t: Array, values: Array, colour: str) -> None:
-    """A signal, pale, and its running mean, from the first step on: before it there is none."""
-    t, values = t[1:], values[1:]
-    ax.plot(t, values, color=colour, linewidth=0.5, alpha=0.35)
-    width = max(1, round(SMOOTH / (t[1] - t[0]))) if len(t) > 1 else 1
-    ends = width // 2, (width - 1) // 2
-    mean = np.convolve(np.pad(values, ends, mode="edge"), np.full(width, 1 / width), "valid")
-    ax.plot(t, mean, color=colour, linewidth=1.5)
 
 
 def _finish(ax: Any, result: SimulationResult, planned: Plan, last: bool) -> None:
