@@ -33,6 +33,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,12 +43,12 @@ from .contact_equations import Form, contact_function
 from .engine.binding import Machine, contact_table, run
 from .errors import SceneError
 from .kept import kept
-from .planning.starts import measured_start
-from .scene import SLOTS, Disturbance, Scene, Start, Stretch, acting, refuse_rest, require_scene
+from .planning.starts import Moment, measured_start
+from .scene import SLOTS, Disturbance, Scene, Stretch, acting, refuse_rest, require_scene
 from .scene.contact import rotated
 from .surfaces import TINY, Ellipsoid, Surface, UserSurface
 from .theory import symbols as ca
-from .theory.development import IN_SPACE, in_space
+from .theory.development import IN_SPACE, in_space, moving
 from .theory.lowering import Table
 from .theory.profile import polynomial
 from .theory.symbols import making_symbols
@@ -299,8 +300,11 @@ class SceneSystem:
         """w of the scene's disturbances on the interval that begins at t: (n_w,)."""
         return acting(self.scene, t).ravel()[: self.n_w]
 
-    def place(self, t: float, starts: Sequence[Start]) -> tuple[Array, Array]:
-        """x and held of contacts that start at time t: (n_x,), (n_held,)."""
+    def place(self, t: float, starts: Sequence[Any]) -> tuple[Array, Array]:
+        """x and held of contacts that start at time t: (n_x,), (n_held,).
+
+        starts : of Start, or, in frame coordinates, a plan's :meth:`Plan.moments`
+        """
         x, held = list[float](), list[float]()
         for i, (contact, form, start) in enumerate(zip(self.scene.contacts, self.forms, starts)):
             leg = self.leg_numbers(i, t)
@@ -314,12 +318,19 @@ class SceneSystem:
                 x.append(start.angle)
                 continue
             w1 = rotated(math.cos(start.angle), math.sin(start.angle), start.finger_velocity)
-            point = np.array([[0, *w1, *start.object_velocity]]).T  # psi is 0 between these frames
-            v = run(contact_table(START), point, ())[-2:, 0]
-            if self.scene.gain.row.makes_up and not sigma > 0:  # lam is infinite: no slip is left
-                v = np.zeros(2)
-            for body, at, theta, ambient in zip(bodies, places, (-start.angle, 0.0), form.ambient):
-                x += _first_frame(body, at, theta) if ambient else [*at, theta]
+            if isinstance(start, Moment):
+                v, frames = np.array(start.slip), (start.finger_frame, start.object_frame)
+            else:
+                point = np.array([[0, *w1, *start.object_velocity]]).T  # psi is 0 between frames
+                v, frames = run(contact_table(START), point, ())[-2:, 0], ((), ())
+                if self.scene.gain.row.makes_up and not sigma > 0:  # lam is infinite: no slip
+                    v = np.zeros(2)
+            turns = -start.angle, 0.0
+            for body, at, frame, turn, ambient in zip(bodies, places, frames, turns, form.ambient):
+                if not ambient:
+                    x += [*at[:2], sum(at[2:], turn)]
+                else:
+                    x += _turned_frame(body, frame, turn) if frame else _first_frame(body, at, turn)
             x += [*w1, *v] if form.forced else []
             held += [*([] if form.forced else [*w1, *v, t - began]), *leg]
         return np.array(x), np.array(held)
@@ -442,6 +453,12 @@ def _first_frame(surface: Surface, at: tuple[float, float], theta: float) -> lis
         return run(table, np.array([[*at, theta]]).T, surface.numbers)[:, 0].tolist()
     point, frame = surface.point_and_frame(*at)
     return [*point, *(frame[:, :2] @ [math.cos(theta), math.sin(theta)])]
+
+
+def _turned_frame(surface: Surface, frame: Sequence[float], theta: float) -> list[float]:
+    """x, p of a moving frame, turned by theta."""
+    second = moving(surface, True)("second")(frame, surface.numbers).full().ravel()
+    return [*frame[:3], *(math.cos(theta) * np.array(frame[3:]) + math.sin(theta) * second)]
 
 
 def number_names(surface: Surface, first: int = 0) -> tuple[str, ...]:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import LeafSystem
 
-from contact_system import Plan, SceneError, SceneSystem
+from contact_system import Plan, SceneError
 from contact_system.checks import Array
 from contact_system.engine.binding import run
 from contact_system.plan import require_plan
 from contact_system.system import system_table
-from contact_system.theory.development import moving
 
 from .lifetimes import NO_DICTIONARY
 from .planner_base import PlannerBase, scene_system
@@ -77,34 +75,8 @@ class PlanSource(PlannerBase, LeafSystem):
 
     def _Rates(self, t: float) -> dict[str, Array]:
         system = self.system
-        x, held = frame_states(system, t, self.plan.moments(t))
+        x, held = system.place(t, self.plan.moments(t))
         table, ends = system_table(system, *RATES)
         point = np.hstack([t, x, system.window_values(t), held])
         found = run(table, point[:, None], system.parameters)[:, 0]
         return dict(zip(RATES, np.split(found, ends[:-1])))
-
-
-def frame_states(system: SceneSystem, t: float, moments: Sequence[Any]) -> tuple[Array, Array]:
-    """States and held numbers of a system in frame coordinates where a plan is: (n_x,), (n_held,).
-
-    The finger's frame is turned so that psi is -theta_1 - theta_2.
-    """
-    x, held = [], []
-    for i, (form, now) in enumerate(zip(system.forms, moments)):
-        contact, leg = system.scene.contacts[i], system.leg_numbers(i, t)
-        c, s = np.cos(now.angle), np.sin(now.angle)
-        w1 = np.array([[c, -s], [s, c]]) @ now.finger_velocity
-        u, v, theta = now.finger_at
-        finger, obj = [u, v, theta - now.angle], now.object_at
-        if form.ambient[0]:
-            place = np.array(now.finger_frame)
-            numbers = contact.finger.sign, *contact.finger.parameters
-            second = moving(contact.finger, True)("second")(place, numbers).full().ravel()
-            finger = [*place[:3], *(c * place[3:] - s * second)]
-        if form.ambient[1]:
-            obj = now.object_frame
-        carried = [*w1, *now.slip]
-        x += [*finger, *obj, *(carried if form.forced else ())]
-        held += [*carried, t - leg[0] if len(leg) else t] if form.n_held else []
-        held += [*leg]
-    return np.array(x), np.array(held)
