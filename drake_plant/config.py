@@ -276,28 +276,23 @@ class StationConfig:
         if self.restarts and self.time_step:
             self._check_restarts()
         check_pushes(scene, self.pushes)
-        self._check_way()
-        self._check_used()
-        if self.hand is not None:
-            self._check_hand(scene)
+        self._check_hand(scene)
 
-    def _check_way(self) -> None:
+    def _check_hand(self, scene: Scene) -> None:
+        """Refuse what a hand cannot do, and what does nothing with one, or without."""
         if not isinstance(self.turn, (list, tuple)):
             raise SceneError(f"turn = {self.turn!r}: give lists of three numbers, degrees")
         _three_numbers(self.move, "move")
         for k, turn in enumerate(self.turn):
             _three_numbers(turn, f"turn[{k}]")
-
-    def _check_used(self) -> None:
         which, keys = ("without", HANDS_ONLY) if self.hand is None else ("with", TIPS_ONLY)
         for key in keys:
             value, default = getattr(self, key), getattr(StationConfig(), key)
             if list(np.ravel(value)) != list(np.ravel(default)):
                 raise SceneError(f"{key} = {value!r}: it does nothing {which} a hand; leave it out")
-
-    def _check_hand(self, scene: Scene) -> None:
+        if self.hand is None:
+            return
         require_config(self.hand, Hand, "hand")
-        assert self.hand is not None
         self.hand.check(len(scene.contacts))
         if self.object != "free" or not self.time_step:
             raise SceneError('hand: it needs object = "free" and a time_step above 0')

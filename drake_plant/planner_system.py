@@ -46,16 +46,6 @@ RESTING = 1e-3
 """Of the greatest sigma, up to which a contact is at rest, or almost."""
 
 
-def _restart_period(scene: Scene, period: float | None, distance: float | None) -> float | None:
-    """How often the planner may restart, s, where it restarts."""
-    what = f"{scene.title}: restart_"
-    if distance is not None:
-        finite_number(distance, f"{what}distance", "not below 0")
-    if period is None:
-        return None if distance is None else LOOK
-    return finite_number(period, f"{what}period", "above 0")
-
-
 class _Convertible(PlannerBase):
     """A planner with other scalars, as TemplateSystem has it for classes without a signature of
     their own."""
@@ -195,10 +185,13 @@ class ContactPlanner(_Convertible, LeafSystem):
     ):
         LeafSystem.__init__(self, converter=_converter())
         system = scene_system(scene, coordinates, disturbance_input)
-        period = _restart_period(scene, restart_period, restart_distance)
-        what = f"{scene.title}: tolerance"
-        self._tolerance = finite_number(tolerance, what, "above 0")
-        self._distance = restart_distance
+        self._tolerance = finite_number(tolerance, f"{scene.title}: tolerance", "above 0")
+        self._distance, period = restart_distance, restart_period
+        if period is not None:
+            finite_number(period, f"{scene.title}: restart_period", "above 0")
+        if restart_distance is not None:
+            finite_number(restart_distance, f"{scene.title}: restart_distance", "not below 0")
+            period = period or LOOK
         self._fastest = scene.speeds(np.linspace(0.0, scene.duration, 101)).max(axis=0)
         self._options = dict(
             coordinates=system.coordinates,
