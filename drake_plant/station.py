@@ -316,10 +316,8 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         plant.SetFreeBodyPose(physics, body, X_WO @ X_OF)
         plant.SetFreeBodySpatialVelocity(context=physics, body=body, V_JpJc=V_WF)
     # The sampled outputs of Drake's plant outlive SetDefaultContext.
-    new = plant.CreateDefaultContext()
-    sampled = physics.get_mutable_state().get_mutable_abstract_state()
-    for k in range(sampled.size()):
-        sampled.get_mutable_value(k).SetFrom(new.get_abstract_state().get_value(k))
+    sampled = plant.CreateDefaultContext().get_abstract_state()
+    physics.get_mutable_state().get_mutable_abstract_state().SetFrom(sampled)
 
 
 def _started(station: Diagram) -> list[Any]:
