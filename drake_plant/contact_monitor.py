@@ -190,7 +190,7 @@ class ContactMonitor(LeafSystem):
         step = plant.time_step() if plant.has_sampled_output_ports() else 0.0
         self._gauges = PerThread(lambda: ContactGauges(scene, step), {})
         inputs = declare_plant_inputs(
-            self, "contact_results", "body_poses", "body_spatial_velocities"
+            self, plant, "contact_results", "body_poses", "body_spatial_velocities"
         )
         self._results, self._poses, self._velocities = inputs
         self._noise = self.DeclareVectorInputPort("noise", 9 * n)

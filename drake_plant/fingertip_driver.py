@@ -151,11 +151,11 @@ class FingertipDriver(LeafSystem):
         n = len(fingers)
         self._motion = self.DeclareVectorInputPort("motion", sum(MOTION.values()) * n)
         self._poses, self._velocities = declare_plant_inputs(
-            self, "body_poses", "body_spatial_velocities"
+            self, plant, "body_poses", "body_spatial_velocities"
         )
         self._discrete = plant.time_step() > 0
         if self._discrete:
-            (self._accelerating,) = declare_plant_inputs(self, "body_spatial_accelerations")
+            (self._accelerating,) = declare_plant_inputs(self, plant, "body_spatial_accelerations")
         else:
             size = 6 * body.is_floating_base_body()
             self._accelerating = self.DeclareVectorInputPort("generalized_contact_forces", size)

@@ -65,7 +65,7 @@ class ForceBalancer(LeafSystem):
         self._points = self.DeclareVectorInputPort("contact_point", 6 * n)
         self._normals = self.DeclareVectorInputPort("normal", 3 * n)
         self._poses, self._velocities = declare_plant_inputs(
-            self, "body_poses", "body_spatial_velocities"
+            self, plant, "body_poses", "body_spatial_velocities"
         )
         needs = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
         ticket, self._found = array_entry(self._CalcFound, (n, 5), needs)

@@ -95,7 +95,7 @@ class HandDriver(LeafSystem):
         constants = [tip_constants(tip, scene_plant, hold=1.0) for tip in tips]
         self._own = PerThread(partial(_own, plan, constants), {})
         self._state = self.DeclareVectorInputPort("state", plant.num_multibody_states())
-        (self._poses,) = declare_plant_inputs(self, "body_poses")
+        (self._poses,) = declare_plant_inputs(self, plant, "body_poses")
         self._sliding = self.DeclareVectorInputPort("sliding", 3 * len(constants))
         self._push = self.DeclareVectorInputPort("push", 3 * len(constants) + 3)
         needs = (self.all_input_ports_ticket(), self.xd_ticket(), self.time_ticket())

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from pydrake.common.value import Value
 from pydrake.geometry import (
     AddCompliantHydroelasticProperties,
     AddContactMaterial,
@@ -40,10 +39,8 @@ from pydrake.geometry import (
 )
 from pydrake.geometry import Sphere as SphereShape
 from pydrake.math import RigidTransform
-from pydrake.multibody.math import SpatialAcceleration, SpatialVelocity
 from pydrake.multibody.plant import (
     AddMultibodyPlant,
-    ContactResults,
     CoulombFriction,
     MultibodyPlant,
     MultibodyPlantConfig,
@@ -106,17 +103,12 @@ AGES = 1e9  # s
 OPACITY = 0.6  # of fingers, and of objects around them, so that contacts are seen through them
 
 
-PLANT_PORTS = {
-    "contact_results": ContactResults,
-    "body_poses": list[RigidTransform],
-    "body_spatial_velocities": list[SpatialVelocity],
-    "body_spatial_accelerations": list[SpatialAcceleration],
-}
-
-
-def declare_plant_inputs(system: LeafSystem, *names: str) -> list[InputPort]:
+def declare_plant_inputs(system: LeafSystem, plant: MultibodyPlant, *names: str) -> list[InputPort]:
     """Input ports of a system, for the plant's output ports of the same names."""
-    return [system.DeclareAbstractInputPort(name, Value[PLANT_PORTS[name]]()) for name in names]
+    return [
+        system.DeclareAbstractInputPort(name, plant.GetOutputPort(name).Allocate())
+        for name in names
+    ]
 
 
 def gravity_on(plant: MultibodyPlant, body: RigidBody) -> Array:
