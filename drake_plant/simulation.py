@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO
 
 import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
@@ -43,9 +43,6 @@ CONTINUOUS = SimulatorConfig(
     integration_scheme="runge_kutta3", accuracy=1e-4, max_step_size=1e-3, use_error_control=True
 )
 """Of a continuous plant: with a larger accuracy the planner is further off than it may be."""
-
-
-Result = TypeVar("Result", bound="SimulationResult")
 
 
 @dataclass(eq=False, repr=False)
@@ -206,9 +203,9 @@ def simulate(
     if config.restarts:
         first = plan(planner.system.scene)
         planned["first_contact_point"] = first.points(t)[:, :, 1]
-    return run.filmed(
-        SimulationResult(scene, config, t, planned, measured, said["pose"], *run.times)
-    )
+    result = SimulationResult(scene, config, t, planned, measured, said["pose"], *run.times)
+    run.film(result)
+    return result
 
 
 def simulate_hand(
@@ -232,9 +229,9 @@ def simulate_hand(
     t, said, measured = run.follow(duration, LOGGED, progress, asked)
     seen = t, _hand_planned(plan, t), measured, said["pose"], *run.times
     wanted = np.array([plan.wanted(x).GetAsMatrix4() for x in t])
-    return run.filmed(
-        HandResult(plan.rolling, plan.config, *seen, plan, wanted, said["q"], said["torque"])
-    )
+    result = HandResult(plan.rolling, plan.config, *seen, plan, wanted, said["q"], said["torque"])
+    run.film(result)
+    return result
 
 
 def _hand_planned(plan: Reorientation, t: Array) -> dict[str, Array]:
@@ -321,11 +318,10 @@ class Run:
         said = {name: np.array(values) for name, values in zip(asked, zip(*rows))}
         return said["t"], said, _measurements(said["measured"], self._config)
 
-    def filmed(self, result: Result) -> Result:
-        """The result, once the recording is written that shows it."""
+    def film(self, result: SimulationResult) -> None:
+        """Write the recording that shows a result, if one is wanted."""
         if self._film is not None:
             self._film.Save(self._path, result)
-        return result
 
 
 def film_path(scene: Scene, recording: str | Path) -> Path:
