@@ -441,9 +441,9 @@ def test_stations_start_inside_another_diagram_under_names_of_their_own():
         assert force == pytest.approx([1.0, 1.0, 1.0], abs=0.02)
 
 
-def test_a_station_is_freed_when_nobody_knows_it_any_more():
-    scene = cs.load_scene("D1")
-    station = BuildStation(scene, config(scene))
+@pytest.mark.parametrize("step", [0.0, 1e-3])
+def test_a_station_is_freed_when_nobody_knows_it_any_more(step):
+    station = BuildStation(scene := cs.load_scene("D1"), config(scene, time_step=step))
     SetInitialState(station, station.CreateDefaultContext())
     systems = [weakref.ref(system) for system in station.GetSystems()]
     del station
