@@ -72,8 +72,7 @@ class Fact(Structure):
 
     _fields_ = [
         *((name, c_double) for name in ("start", "stop")),
-        *((name, c_int64) for name in ("side", "kind", "ambient", "by_length", "forced")),
-        *((name, c_int64) for name in ("panels", "reason", "slips")),
+        *((name, c_int64) for name in ("side", "kind", "ambient", "by_length", "panels", "reason")),
     ]
 
 

@@ -29,7 +29,7 @@ static void lay_circle(work_t *w, const body_t *b, const double *state, track_t 
     k->across[j] = k->lean[0] * q[j] - k->lean[1] * p;
   }
   k->kind = CIRCLE, k->rate = pace / b->size;
-  k->far = k->rate * length_at(k->drive, k->stop - k->start) > FAR_PHASE;
+  k->far = k->rate * length_at(k->drive, k->stop - k->drive->start) > FAR_PHASE;
 }
 
 /* (x, p) at phases, or x alone */
@@ -65,17 +65,20 @@ static void phases(const track_t *k, const body_t *b, const double *tau, double 
 
 /* ---- lines on developable surfaces ---- */
 
-static void lay_line(work_t *w, const body_t *b, const double *state, track_t *k) {
+/* u and v by the length of y, a vector of the parallel frame */
+static void chart_slope(work_t *w, const body_t *b, const double *state, const double *y,
+                        double *slope) {
   double lame[3], turned[2];
-  memcpy(k->begin, state, sizeof k->begin);
   run_one(w, b->surface->chart[C_LAME], b->numbers, state, lame);
-  for (int which = 0; which < 2; which++) {
-    const double *y = which ? k->v : k->w, in[3] = {state[2], y[0], y[1]};
-    run_one(w, contact_tables + T_TURNED, NULL, in, turned);
-    for (int a = 0; a < 2; a++) (which ? k->aside : k->slope)[a] = turned[a] / lame[a];
-  }
+  run_one(w, contact_tables + T_TURNED, NULL, (double[3]){state[2], y[0], y[1]}, turned);
+  for (int a = 0; a < 2; a++) slope[a] = turned[a] / lame[a];
+}
+
+static void lay_line(work_t *w, const body_t *b, const double *state, track_t *k) {
+  memcpy(k->begin, state, sizeof k->begin);
+  chart_slope(w, b, state, k->w, k->slope);
   k->kind = LINE;
-  const double length = length_at(k->drive, k->stop - k->start);
+  const double length = length_at(k->drive, k->stop - k->drive->start);
   for (int a = 0; a < 2; a++)
     k->far |= fabs(k->slope[a] * length) + fabs(state[a]) > FAR_PHASE * b->size;
 }

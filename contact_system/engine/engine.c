@@ -129,16 +129,14 @@ static int64_t facts(const plan_t *plan, int64_t contact, int64_t room, fact_t *
     for (int64_t i = 0; i < c->n_tracks[s]; i++, n++) {
       const track_t *k = c->tracks[s] + i;
       if (n < room)
-        out[n] = (fact_t){.start = k->start,
+        out[n] = (fact_t){.start = k->drive->start,
                           .stop = k->stop,
                           .side = s,
                           .kind = k->kind,
                           .ambient = k->ambient,
                           .by_length = k->by_length,
-                          .forced = k->forced,
                           .panels = k->panels.n,
-                          .reason = k->reason,
-                          .slips = any(k->v)};
+                          .reason = k->reason};
     }
   return n;
 }

@@ -151,7 +151,7 @@ enum {
 };
 typedef struct {
   double start, stop;
-  int64_t side, kind, ambient, by_length, forced, panels, reason, slips;
+  int64_t side, kind, ambient, by_length, panels, reason;
 } fact_t;
 
 typedef struct plan plan_t;

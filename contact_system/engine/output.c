@@ -27,7 +27,7 @@ static void state_at(const track_t *k, const body_t *b, const double *tau, const
 
 static void track_state(const body_t *b, const track_t *k, double t, double *state) {
   double tau[L], x[L], turns[L], found[6][L];
-  fill_lanes(tau, t - k->start);
+  fill_lanes(tau, t - k->drive->start);
   variable(k, b, tau, x, turns);
   state_at(k, b, tau, x, state_size(k->ambient), found);
   for (int j = 0; j < state_size(k->ambient); j++) state[j] = found[j][0];
@@ -41,45 +41,6 @@ static void path_velocity(rows_t rows, const double *constant, const double *tau
     for (int a = 0; a < 2; a++) fill_lanes(out[a], constant[a]);
 }
 
-/* Local time and sigma on a drive at the times of a block */
-typedef struct {
-  const drive_t *drive;
-  double tau[L], sigma[L];
-} pace_t;
-
-static void set_pace(pace_t *p, const drive_t *d, const double *t) {
-  p->drive = d;
-  for (int i = 0; i < L; i++) p->tau[i] = t[i] - d->start;
-  horners(d->sigma, d->n_sigma, p->tau, p->sigma);
-}
-
-/* Velocity of the contact point in the parallel frame, without rate offsets */
-static void drive_velocity(const contact_t *c, int side, const track_t *k, const pace_t *p,
-                           lanes_t out) {
-  double w1[2][L], v[2][L];
-  const double *sigma = p->sigma;
-  if (!k->forced && !any(k->v)) {
-    for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) out[a][i] = sigma[i] * k->w[a];
-    return;
-  }
-  if (!k->forced) {
-    double decay[L];
-    decays(p->drive, p->tau, sigma, decay);
-    for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++)
-        out[a][i] = sigma[i] * (k->w[a] - k->v[a] * decay[i]);
-    return;
-  }
-  const double nothing[2] = {0.0, 0.0}, *r = c->r0;
-  /* W_1 is a row of the panels, or the track's own w */
-  path_velocity(k->w1_rows, k->w, p->tau, w1);
-  path_velocity(k->v_rows, nothing, p->tau, v);
-  for (int a = 0; a < 2; a++) {
-    const int turns = side && k->w1_rows.panels;
-    const double x = turns ? r[2 * a] : a == 0, y = turns ? r[2 * a + 1] : a == 1;
-    SIMD for (int i = 0; i < L; i++) out[a][i] = sigma[i] * (x * w1[0][i] + y * w1[1][i] - v[a][i]);
-  }
-}
-
 /* ---- a block of times of one contact ---- */
 
 /* What is needed of a body */
@@ -88,17 +49,33 @@ enum { NEED_VELOCITY = 32 };
 
 typedef struct {
   const track_t *track;
-  pace_t pace;
   double state[6][L], velocity[2][L], offset[2][L];
   double coordinates[N_COORDINATES][L], frame[9][L], shape[3][L];
 } side_t;
 
 typedef struct {
-  const slip_t *slip;
-  pace_t pace;
-  double v[2][L], w1[2][L], sliding[2][L];
+  const segment_t *segment;
+  double t[L], sigma[L], w[2][2][L], v[2][L], sliding[2][L]; /* w: W_1 and W_2 */
   side_t side[2];
 } sample_t;
+
+/* sigma, W_1, W_2 and V */
+static void sample_paths(const contact_t *c, sample_t *m) {
+  const segment_t *s = m->segment;
+  const drive_t *d = s->drive;
+  const double *r = c->r0;
+  double tau[L], decay[L];
+  for (int i = 0; i < L; i++) tau[i] = m->t[i] - d->start;
+  horners(d->sigma, d->n_sigma, tau, m->sigma);
+  for (int side = 0; side < 2; side++) path_velocity(s->w1_rows, s->w[side], tau, m->w[side]);
+  for (int a = 0; a < 2 && s->w1_rows.panels; a++)
+    for (int i = 0; i < L; i++)
+      m->w[1][a][i] = r[2 * a] * m->w[0][0][i] + r[2 * a + 1] * m->w[0][1][i];
+  path_velocity(s->v_rows, s->v, tau, m->v);
+  if (s->v_rows.panels || !any(s->v)) return;
+  decays(d, tau, m->sigma, decay);
+  for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) m->v[a][i] *= decay[i];
+}
 
 /* Of the body's size, so near to a pole or an umbilic rounding leaves no direction of the frame. */
 static const double LOST = 1e-12;
@@ -134,18 +111,21 @@ static void find_one(work_t *w, const contact_t *c, int s, side_t *a, int table,
   copy_rows(out, run(u), rows);
 }
 
-/* One body at the times of its pace, n of L of which are asked for */
-static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, int n, int needs) {
+/* One body, at n of L times */
+static void sample_body(work_t *w, const contact_t *c, int s, sample_t *m, int n, int needs) {
+  side_t *a = &m->side[s];
   const track_t *k = a->track;
   const body_t *b = &c->body[s];
-  const double *tau = a->pace.tau;
-  double x[L], turns[L], far[6][L];
+  double tau[L], x[L], turns[L], far[6][L];
   if (!(needs || any(k->offset))) return;
+  for (int i = 0; i < L; i++) tau[i] = m->t[i] - k->drive->start;
   variable(k, b, tau, x, turns);
   const int rows = needs == NEED_POINT && !any(k->offset) ? 3 : state_size(k->ambient);
   state_at(k, b, tau, x, rows, a->state);
   if (needs & (NEED_COORDINATES | NEED_VELOCITY))
-    drive_velocity(c, s, k, &a->pace, a->velocity);
+    for (int j = 0; j < 2; j++)
+      for (int i = 0; i < L; i++)
+        a->velocity[j][i] = m->sigma[i] * (m->w[s][j][i] - (s ? m->v[j][i] : 0.0));
   if (needs & NEED_COORDINATES) find_coordinates(w, c, s, a, x, turns, n);
   lanes_t state = a->state;
   if (k->kind == LINE && k->far && needs & (NEED_POINT | NEED_FRAME)) {
@@ -166,20 +146,11 @@ static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, int n, 
   }
 }
 
-/* V, W_1 and the slip along (p_2, q_2): sigma V, less what a rate offset adds */
+/* Slip along (p_2, q_2): sigma V, less what a rate offset adds */
 static void sample_slip(sample_t *m) {
-  const slip_t *s = m->slip;
-  const double *tau = m->pace.tau, *sigma = m->pace.sigma;
-  path_velocity(s->w1_rows, s->w1, tau, m->w1);
-  path_velocity(s->v_rows, s->v, tau, m->v);
-  if (any(s->v) && !s->forced) {
-    double decay[L];
-    decays(s->drive, tau, sigma, decay);
-    for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) m->v[a][i] *= decay[i];
-  }
   const side_t *o = &m->side[1];
   for (int a = 0; a < 2; a++) {
-    SIMD for (int i = 0; i < L; i++) m->sliding[a][i] = sigma[i] * m->v[a][i];
+    SIMD for (int i = 0; i < L; i++) m->sliding[a][i] = m->sigma[i] * m->v[a][i];
     if (any(o->track->offset))
       for (int i = 0; i < L; i++) m->sliding[a][i] -= o->offset[a][i];
   }
@@ -202,19 +173,19 @@ static void turn_to_contact_frame(work_t *w, const sample_t *m, lanes_t y) {
 
 /* (sigma'/sigma - lam) v_rel, and what the accelerations add, along (p_2, q_2) */
 static void accelerate(work_t *w, const contact_t *c, sample_t *m, lanes_t out) {
-  const slip_t *s = m->slip;
+  const segment_t *s = m->segment;
   const int pulls = !all_zero(m->v);
   unit_t *u = pair_table(w, T_ACCELERATION, c->r0);
-  copy_lanes(u->r[0], m->pace.sigma);
+  copy_lanes(u->r[0], m->sigma);
   for (int i = 0; i < L; i++) {
-    const double tau = m->pace.tau[i];
+    const double tau = m->t[i] - s->drive->start;
     u->r[1][i] = pulls ? slope_of(s->drive->sigma, s->drive->n_sigma, tau) : 0.0;
     u->r[2][i] = pulls ? gain_at(s->drive, tau) : 0.0;
   }
   copy_rows(u->r + 3, m->v, 2);
   for (int r = 5; r < 9; r++) fill_lanes(u->r[r], 0.0);
   for (int k = 0; k < 2; k++) {
-    const double *d = s->accelerations + 2 * k;
+    const double *d = s->acting + 2 * k;
     const side_t *a = &m->side[k];
     if (!any(d)) continue;
     lanes_t found = to_parallel(w, k, a->track->ambient, &c->body[k], (lanes_t)a->state, d);
@@ -257,14 +228,12 @@ static void put_states(const target_t *to, const contact_t *c, const sample_t *m
   put(to, STATES, 8, psi);
 }
 
-static void put_carried(const target_t *to, const contact_t *c, const sample_t *m) {
-  const double *r = c->r0;
+static void put_carried(const target_t *to, const sample_t *m) {
   for (int s = 0; s < 2; s++) put(to, CARRIED, 3 * s, m->side[s].coordinates[THETA]);
   for (int a = 0; a < 2; a++) {
     double own[L];
-    put(to, CARRIED, 1 + a, m->w1[a]);
-    for (int i = 0; i < L; i++)
-      own[i] = r[2 * a] * m->w1[0][i] + r[2 * a + 1] * m->w1[1][i] - m->v[a][i];
+    put(to, CARRIED, 1 + a, m->w[0][a]);
+    for (int i = 0; i < L; i++) own[i] = m->w[1][a][i] - m->v[a][i];
     put(to, CARRIED, 4 + a, own);
   }
 }
@@ -305,12 +274,15 @@ static void put_twist(work_t *w, const target_t *to, const contact_t *c, const s
 static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t *to, int needs,
                       int turned) {
   double *const *out = to->out;
-  const int accelerated = out[ACCELERATION] && m->slip->forced;
+  const int forced = m->segment->v_rows.panels != NULL;
+  const int accelerated = out[ACCELERATION] && forced;
+  const int slip = turned || out[SLIP_SPEED] || out[TWIST] || out[CARRIED];
+  if (slip || out[STATES]) sample_paths(c, m);
   for (int s = 0; s < 2; s++) {
     /* where there is slip, turning it into the contact frame takes the object's theta */
-    const int slides = m->slip->forced || any(m->slip->v) || any(m->side[1].track->offset);
+    const int slides = forced || any(m->segment->v) || any(m->side[1].track->offset);
     const int more = s && turned && slides ? NEED_COORDINATES : accelerated ? NEED_STATE : 0;
-    sample_body(w, c, s, &m->side[s], to->count, needs | more);
+    sample_body(w, c, s, m, to->count, needs | more);
   }
   if (out[POINTS])
     for (int s = 0; s < 2; s++)
@@ -318,10 +290,10 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t
   if (out[STATES]) put_states(to, c, m);
   if (out[FRAMES]) put_frames(to, m);
   if (out[POSE]) put_pose(w, to, c, m);
-  if (!(out[SLIP] || out[SLIP_SPEED] || out[TWIST] || out[ACCELERATION] || out[CARRIED])) return;
+  if (!slip) return;
   sample_slip(m);
   if (out[TWIST]) put_twist(w, to, c, m);
-  if (out[CARRIED]) put_carried(to, c, m);
+  if (out[CARRIED]) put_carried(to, m);
   if (out[SLIP_SPEED]) {
     double speed[L];
     for (int i = 0; i < L; i++) speed[i] = hypot(m->sliding[0][i], m->sliding[1][i]);
@@ -342,8 +314,8 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t
 /* The interval of a time among n, an edge being that of the later one; k: where to look first */
 #define WHICH(items, n, t, k)                                                                      \
   do {                                                                                             \
-    if ((t) < (items)[k].start) k = 0;                                                             \
-    while (k + 1 < (n) && (items)[k + 1].start <= (t)) k++;                                        \
+    if ((t) < (items)[k].drive->start) k = 0;                                                      \
+    while (k + 1 < (n) && (items)[k + 1].drive->start <= (t)) k++;                                 \
   } while (0)
 
 /* What stands at times without a frame, at a pole or an umbilic, is not finite. The first of them is
@@ -373,26 +345,24 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
   if (out[TWIST]) needs |= NEED_SHAPE | NEED_VELOCITY;
   if (out[FRAMES]) needs |= NEED_FRAME | NEED_SHAPE;
   sample_t m;
-  int64_t which[2] = {0, 0}, record = 0;
+  int64_t which[2] = {0, 0}, segment = 0;
   for (int64_t i = 0; i < n;) {
-    double t[L], until = HUGE_VAL, from = -HUGE_VAL;
-    WHICH(c->slips, c->n_slips, times[i], record);
-    m.slip = c->slips + record;
-    if (record) from = m.slip->start;
-    if (record + 1 < c->n_slips) until = m.slip[1].start;
+    double until = HUGE_VAL, from = -HUGE_VAL;
+    WHICH(c->segments, c->n_segments, times[i], segment);
+    m.segment = c->segments + segment;
+    if (segment) from = m.segment->drive->start;
+    if (segment + 1 < c->n_segments) until = m.segment[1].drive->start;
     for (int s = 0; s < 2; s++) {
       WHICH(c->tracks[s], c->n_tracks[s], times[i], which[s]);
       const track_t *k = c->tracks[s] + which[s];
       m.side[s].track = k;
-      if (which[s]) from = fmax(from, k->start);
-      if (which[s] + 1 < c->n_tracks[s]) until = fmin(until, k[1].start);
+      if (which[s]) from = fmax(from, k->drive->start);
+      if (which[s] + 1 < c->n_tracks[s]) until = fmin(until, k[1].drive->start);
     }
     int count = 0;
     while (count < L && i + count < n && times[i + count] >= from && times[i + count] < until)
-      t[count] = times[i + count], count++;
-    for (int q = count; q < L; q++) t[q] = t[count - 1];
-    set_pace(&m.pace, m.slip->drive, t);
-    for (int s = 0; s < 2; s++) set_pace(&m.side[s].pace, m.side[s].track->drive, t);
+      m.t[count] = times[i + count], count++;
+    for (int q = count; q < L; q++) m.t[q] = m.t[count - 1];
     const target_t to = {out, n, i, count};
     put_block(w, c, &m, &to, needs, turned);
     i += count;
@@ -402,16 +372,26 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
 
 /* ---- branches, and where contacts have come to ---- */
 
+/* Path velocities at a time */
+static void sample_at(const contact_t *c, double t, sample_t *m) {
+  int64_t segment = 0;
+  WHICH(c->segments, c->n_segments, t, segment);
+  m->segment = c->segments + segment;
+  fill_lanes(m->t, t);
+  sample_paths(c, m);
+}
+
 /* u v theta at a time; returns not 0 where there are none */
 static int place_on_track(work_t *w, const contact_t *c, int side, const track_t *k, double t,
                           double *place) {
-  side_t a = {.track = k};
-  double times[L], sum = 0.0;
-  fill_lanes(times, t);
-  set_pace(&a.pace, k->drive, times);
-  sample_body(w, c, side, &a, 1, NEED_COORDINATES);
+  sample_t m;
+  double sum = 0.0;
+  sample_at(c, t, &m);
+  m.side[side].track = k;
+  sample_body(w, c, side, &m, 1, NEED_COORDINATES);
   const int rows[3] = {U, V, THETA};
-  for (int j = 0; j < 3; j++) place[j] = a.coordinates[rows[j]][0], sum += 0.0 * place[j];
+  for (int j = 0; j < 3; j++)
+    place[j] = m.side[side].coordinates[rows[j]][0], sum += 0.0 * place[j];
   return sum != 0.0;
 }
 
@@ -437,8 +417,8 @@ static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t,
   anchor_side(w, c, side, which + 1);
   const track_t *k = c->tracks[side] + which;
   if (t > k->stop) t = k->stop;
-  const double aside = 1e-7 * (k->stop - k->start);
-  const double tried[3] = {t, fmax(t - aside, k->start), fmin(t + aside, k->stop)};
+  const double start = k->drive->start, aside = 1e-7 * (k->stop - start);
+  const double tried[3] = {t, fmax(t - aside, start), fmin(t + aside, k->stop)};
   for (int i = 0; i < 3; i++)
     if (!place_on_track(w, c, side, k, tried[i], place)) return;
   w->failure->contact = c - w->plan->contacts, w->failure->side = side, w->failure->t = t;
@@ -446,16 +426,11 @@ static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t,
 }
 
 static void moment_of(work_t *w, contact_t *c, double t, double *out) {
-  int64_t record = 0;
-  double tau[L], w1[2][L], v[2][L], row[CONTACT_SIZE] = {0};
-  WHICH(c->slips, c->n_slips, t, record);
-  const slip_t *s = c->slips + record;
-  fill_lanes(tau, t - s->start);
-  path_velocity(s->w1_rows, s->w1, tau, w1);
-  path_velocity(s->v_rows, s->v, tau, v);
-  const double left = any(s->v) && !s->forced ? decay_at(s->drive, tau[0]) : 1.0;
+  sample_t m;
+  double row[CONTACT_SIZE] = {0};
+  sample_at(c, t, &m);
   row[K_ANGLE] = c->angle;
-  for (int a = 0; a < 2; a++) row[K_W1 + a] = w1[a][0], row[K_Y + a] = v[a][0] * left;
+  for (int a = 0; a < 2; a++) row[K_W1 + a] = m.w[0][a][0], row[K_Y + a] = m.v[a][0];
   for (int side = 0; side < 2; side++) {
     const body_t *b = &c->body[side];
     int64_t which = 0;

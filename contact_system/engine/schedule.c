@@ -5,14 +5,6 @@
    products of polynomials are formed in doubled precision and rounded once: terms of sigma may
    cancel. */
 
-/* a piece of the horizon, and what acts on it: accelerations of finger and object, rate offset of
-   the object, in chart components; where a leg begins, it also says how the path turns there */
-typedef struct {
-  const drive_t *drive;
-  double acting[6];
-  const double *turn; /* cosine and sine, or NULL */
-} segment_t;
-
 /* Taylor's shift to start, by Horner's scheme again and again */
 static void shift(const double *c, int64_t n, double start, twofold_t *out) {
   for (int64_t i = 0; i < n; i++) out[i] = twofold(c[i]);
@@ -118,7 +110,7 @@ static int64_t knots_of(work_t *w, const double *row, double **out) {
 }
 
 /* The segments of a contact; returns how many */
-static int64_t schedule(work_t *w, const double *row, const segment_t **out) {
+static int64_t schedule(work_t *w, const double *row, segment_t **out) {
   const double *scene = w->plan->scene, *windows = scene + (int64_t)row[K_WINDOWS];
   const double *leg = scene + (int64_t)row[K_LEGS];
   const double *last = leg + ((int64_t)row[K_LEGS_SIZE] - 1) * LEG_SIZE;

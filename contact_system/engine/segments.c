@@ -20,8 +20,6 @@ typedef struct {
   work_t *w;
   contact_t *c;
   const double *row; /* the contact in the buffer */
-  const segment_t *segments;
-  int64_t n;
   double state[2][6], w1[2], w2[2], v[2];
   int64_t n_passed[2]; /* tracks at whose end that state is */
   int ambient[2];      /* the form that each body is kept in */
@@ -41,7 +39,7 @@ static double norm(const double *d) { return hypot(d[0], d[1]); }
 static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, int reason) {
   track_t *k = &c->c->tracks[side][c->c->n_tracks[side]++];
   memset(k, 0, sizeof *k);
-  k->drive = d, k->start = d->start, k->stop = stop, k->reason = reason;
+  k->drive = d, k->stop = stop, k->reason = reason;
   k->ambient = c->ambient[side];
   memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
   return k;
@@ -109,8 +107,8 @@ static track_t *add_motion(course_t *c, motion_t *m, double stop, int reason) {
   if (m->reached < m->length) stop = m->drive->start + m->reached;
   track_t *k = add_track(c, m->side, m->drive, stop, reason);
   k->kind = PANELS, k->panels = kept_panels(c->w, m);
-  k->ambient = m->ambient, k->by_length = m->by_length, k->forced = m->forced;
-  memcpy(k->v, m->v, sizeof k->v), memcpy(k->push, m->push, sizeof k->push);
+  k->ambient = m->ambient, k->by_length = m->by_length;
+  memcpy(k->push, m->push, sizeof k->push);
   memcpy(k->offset, m->offset, sizeof k->offset);
   require_regular(c->w, m->side, m->body, k);
   return k;
@@ -126,7 +124,7 @@ static double first_length(const body_t *b) { return FIRST * sqrt(b->bend * b->s
 
 /* ---- geodesics ---- */
 
-static track_t *geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
+static void geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
   const body_t *b = &c->c->body[side];
   /* that rolling follows the object's curve as a geodesic is to come out, not to be put in */
   const int closed = c->follows && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
@@ -134,31 +132,17 @@ static track_t *geodesic(course_t *c, int side, const drive_t *drive, double sto
     const double *state = state_of(c, side);
     track_t *k = add_track(c, side, drive, stop, reason);
     (closed == GREAT_CIRCLES ? lay_circle : lay_line)(c->w, b, state, k);
-    return k;
+    return;
   }
   motion_t m = motion_of(c, side, drive, 0);
   const double speed = norm(m.w);
   /* where sigma touches zero at a window's edge an interval may be rounding long */
   m.by_length = 1, m.length = fmax(length_at(drive, stop - drive->start), 1e-300);
   m.first = speed > 0 ? fmin(first_length(b) / speed, 4.0 * m.length) : 4.0 * m.length;
-  return add_motion(c, &m, stop, reason);
+  add_motion(c, &m, stop, reason);
 }
 
 /* ---- slip and rate offsets ---- */
-
-/* A geodesic of the object while slip, v, shows in its rates alone */
-static void slipping_geodesic(course_t *c, const drive_t *d, const double *v, int reason) {
-  track_t *k = geodesic(c, 1, d, d->stop, reason);
-  memcpy(k->v, v, sizeof k->v);
-}
-
-static slip_t *add_slip(course_t *c, const drive_t *d) {
-  slip_t *s = &c->c->slips[c->c->n_slips++];
-  memset(s, 0, sizeof *s);
-  s->start = d->start, s->drive = d;
-  memcpy(s->w1, c->w1, sizeof s->w1), memcpy(s->v, c->v, sizeof s->v);
-  return s;
-}
 
 /* About the time in which a path that may slip grows as long as a first panel may be, s */
 static double first_panel(const drive_t *d, double span, const body_t *b) {
@@ -187,10 +171,11 @@ static panels_t slip_length(course_t *c, const drive_t *d) {
 static void line(course_t *c, const drive_t *d, const double *offset, int matters) {
   const double *state = state_of(c, 1);
   track_t *k = add_track(c, 1, d, d->stop, reason_of(c, offset));
-  memcpy(k->v, c->v, sizeof k->v), memcpy(k->offset, offset, sizeof k->offset);
-  if (matters)
-    k->panels = slip_length(c, d); /* else what is left of slip shows in the rates alone */
+  memcpy(k->offset, offset, sizeof k->offset);
   lay_line(c->w, &c->c->body[1], state, k);
+  if (!matters) return; /* what is left of slip shows in the rates alone */
+  k->panels = slip_length(c, d);
+  chart_slope(c->w, &c->c->body[1], state, c->v, k->aside);
 }
 
 /* Develops the object while a rate offset lasts, or slip that moves the contact by more than the
@@ -210,9 +195,6 @@ static double free_object(course_t *c, const segment_t *s, double stop) {
   const drive_t *d = s->drive;
   const double *offset = s->acting + 4;
   const body_t *b = &c->c->body[1];
-  /* the guaranteed law lets no slip leave a rest */
-  if (d->grows && d->sigma[0] == 0.0) c->v[0] = c->v[1] = 0.0;
-  add_slip(c, d);
   const double slip = norm(c->v);
   const double negligible = NEGLIGIBLE_PART * b->size * d->per_metre * c->w->plan->tolerance;
   double reached = d->stop;
@@ -221,11 +203,10 @@ static double free_object(course_t *c, const segment_t *s, double stop) {
   else if (slip == 0 && !any(offset))
     geodesic(c, 1, d, reached = stop, c->follows ? FOLLOWING : NO_SLIP);
   else if (slip <= negligible && !any(offset))
-    slipping_geodesic(c, d, c->v, NEGLIGIBLE);
+    geodesic(c, 1, d, d->stop, NEGLIGIBLE);
   else {
-    const double until = driven(c, d, offset, negligible), left = decay_at(d, until - d->start);
-    const double v[2] = {left * c->v[0], left * c->v[1]};
-    if (until < d->stop) slipping_geodesic(c, drive_on(c->w, d->leg, until, d->stop), v, SLIP_LEFT);
+    const double until = driven(c, d, offset, negligible);
+    if (until < d->stop) geodesic(c, 1, drive_on(c->w, d->leg, until, d->stop), d->stop, SLIP_LEFT);
   }
   if (slip > 0) {
     const double left = decay_at(d, d->stop - d->start);
@@ -258,17 +239,14 @@ static motion_t forced_motion(course_t *c, int side, const segment_t *s, const d
 }
 
 /* First the finger, if it is accelerated, with its W_1, then the object with V */
-static void forced(course_t *c, const segment_t *segment) {
-  const drive_t *d = segment->drive;
-  const double *act = segment->acting;
+static void forced(course_t *c, segment_t *s) {
+  const drive_t *d = s->drive;
+  const double *act = s->acting;
   const track_t *finger = NULL;
-  slip_t *s = add_slip(c, d);
-  s->forced = 1;
-  memcpy(s->accelerations, act, sizeof s->accelerations);
   if (any(act)) {
-    motion_t m = forced_motion(c, 0, segment, c->w1, 1.0);
+    motion_t m = forced_motion(c, 0, s, c->w1, 1.0);
     track_t *k = add_motion(c, &m, d->stop, PUSHED);
-    s->w1_rows = k->w1_rows = (rows_t){&k->panels, m.n - 2};
+    s->w1_rows = (rows_t){&k->panels, m.n - 2};
     finger = k;
     go_along(c, m.state + m.n - 2);
   }
@@ -277,10 +255,10 @@ static void forced(course_t *c, const segment_t *segment) {
   for (int k = 0; k < 4; k++) push = fmax(push, fabs(act[k]) * c->c->body[k / 2].size);
   const double grown =
       fmax(push / fmax(d->least, 1e-300) * fmin(d->stop - d->start, d->memory), 1e-3);
-  motion_t m = forced_motion(c, 1, segment, c->v, 1.0 / fmin(fmax(norm(c->v), grown), 1.0));
+  motion_t m = forced_motion(c, 1, s, c->v, 1.0 / fmin(fmax(norm(c->v), grown), 1.0));
   m.slip = 1.0, m.finger = finger;
   track_t *k = add_motion(c, &m, d->stop, PUSHED);
-  k->w1_rows = s->w1_rows, s->v_rows = k->v_rows = (rows_t){&k->panels, m.n - 2};
+  s->v_rows = (rows_t){&k->panels, m.n - 2};
   memcpy(c->v, m.state + m.n - 2, sizeof c->v);
 }
 
@@ -289,19 +267,20 @@ static void forced(course_t *c, const segment_t *segment) {
 /* The end of the run of segments of a leg, from one on, in which the finger (0) is not accelerated,
    or nothing acts on the object (1) */
 static double free_until(const course_t *c, int side, int64_t k) {
-  double stop = c->segments[k].drive->stop;
-  for (k++; k < c->n && !c->segments[k].turn; k++) {
-    const double *act = c->segments[k].acting;
+  const segment_t *segments = c->c->segments;
+  double stop = segments[k].drive->stop;
+  for (k++; k < c->c->n_segments && !segments[k].turn; k++) {
+    const double *act = segments[k].acting;
     if (any(act) || (side && (any(act + 2) || any(act + 4)))) break;
-    stop = c->segments[k].drive->stop;
+    stop = segments[k].drive->stop;
   }
   return stop;
 }
 
 static void refuse_endless(course_t *c) {
   double path = 0.0;
-  for (int64_t k = 0; k < c->n; k++) {
-    const drive_t *d = c->segments[k].drive;
+  for (int64_t k = 0; k < c->c->n_segments; k++) {
+    const drive_t *d = c->c->segments[k].drive;
     path += length_at(d, d->stop - d->start);
   }
   const double given[2] = {c->w2[0] - c->v[0], c->w2[1] - c->v[1]};
@@ -352,19 +331,22 @@ static void plan_contact(work_t *w, int64_t index) {
   own->body[0] = body_of(plan, c.row + K_FINGER),
   own->body[1] = body_of(plan, plan->scene + S_OBJECT);
   begin(&c);
-  c.n = schedule(w, c.row, &c.segments);
+  own->n_segments = schedule(w, c.row, &own->segments);
   refuse_endless(&c);
   for (int side = 0; side < 2; side++)
-    own->tracks[side] = keep_items(w, side ? 2 * c.n : c.n, sizeof(track_t));
-  own->slips = keep_items(w, c.n, sizeof(slip_t));
+    own->tracks[side] = keep_items(w, (1 + side) * own->n_segments, sizeof(track_t));
   double until[2] = {plan->begin, plan->begin};
-  for (int64_t k = 0; k < c.n; k++) {
-    const segment_t *s = c.segments + k;
+  for (int64_t k = 0; k < own->n_segments; k++) {
+    segment_t *s = own->segments + k;
     const drive_t *d = s->drive;
     if (s->turn) {
       const double cosine = s->turn[0], sine = s->turn[1], *w1 = c.w1;
       go_along(&c, (double[2]){cosine * w1[0] - sine * w1[1], sine * w1[0] + cosine * w1[1]});
     }
+    /* the guaranteed law lets no slip leave a rest */
+    if (d->grows && d->sigma[0] == 0.0) c.v[0] = c.v[1] = 0.0;
+    memcpy(s->w[0], c.w1, sizeof c.w1), memcpy(s->w[1], c.w2, sizeof c.w2);
+    memcpy(s->v, c.v, sizeof c.v);
     if (any(s->acting)) {
       until[0] = d->stop;
     } else if (until[0] <= d->start) {
@@ -375,7 +357,5 @@ static void plan_contact(work_t *w, int64_t index) {
       forced(&c, s), until[1] = d->stop;
     else if (until[1] <= d->start)
       until[1] = free_object(&c, s, free_until(&c, 1, k));
-    else
-      add_slip(&c, d);
   }
 }

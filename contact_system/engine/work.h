@@ -38,16 +38,14 @@ typedef struct {
   int64_t row;
 } rows_t;
 
-/* One body on one interval. Its drive is sigma (w - v decay) in the parallel frame; of a contact
-   under accelerations, W_1 and V are rows of the panels. */
+/* One body on one interval */
 typedef struct {
-  double start, stop;
-  int64_t kind, by_length, forced, reason;
+  double stop; /* it starts with its drive */
+  int64_t kind, by_length, reason;
   int ambient;
   const drive_t *drive;
-  double w[2], v[2], push[2], offset[2];
-  panels_t panels; /* of the state, and of W_1 or V after it */
-  rows_t w1_rows, v_rows;
+  double w[2], push[2], offset[2];
+  panels_t panels; /* of the state, and of W_1 or V after it; of a line int sigma decay */
   /* great circles: x0, unit velocity along, and the frame against it */
   double at[3], along[3], across[3], lean[2], rate;
   /* lines in a developed chart: begin + along s - aside g + offset tau */
@@ -60,22 +58,23 @@ typedef struct {
   double turn[3];             /* by which they differ a revolution later */
 } track_t;
 
-/* V from start on; slip is sigma V less the offset's part */
+/* A piece of the horizon, what acts on it in chart components, and the path velocities on it: W_1,
+   W_2 and V decay, where nothing accelerates, else W_1 and V in panels. */
 typedef struct {
-  double start;
   const drive_t *drive;
-  double v[2], w1[2], accelerations[4];
-  int forced; /* it is accelerated, and V is in panels */
+  double acting[6];   /* accelerations of finger and object, rate offset of the object */
+  const double *turn; /* where a leg begins: cosine and sine of the angle by which the path turns */
+  double w[2][2], v[2];
   rows_t w1_rows, v_rows;
-} slip_t;
+} segment_t;
 
 typedef struct {
   body_t body[2];
   double angle, r0[4];
   double place[2][3]; /* u v theta where it begins */
-  int64_t n_tracks[2], n_slips;
+  int64_t n_tracks[2], n_segments;
   track_t *tracks[2];
-  slip_t *slips;
+  segment_t *segments;
 } contact_t;
 
 struct plan {

@@ -55,12 +55,14 @@ def _method(f: Fact) -> str:
         return f"quadrature of slip, {panels}"
     if f.kind == LINE:
         return "closed form: straight line on the developed surface"
-    if f.forced:
+    if f.reason == PUSHED:
         return f"forced development, {panels}"
     if f.by_length:
         return f"geodesic in arc length, in {place}, {panels}"
     return f"development in {place}, {panels}"
 
+
+_SLIP = {SLIP_LEFT, SLIPS, OFFSET_AND_SLIP, PUSHED, NEGLIGIBLE}
 
 _REASONS = {
     UNPUSHED: "nothing accelerates it",
@@ -81,7 +83,7 @@ def _reason(scene: Scene, contact: int, f: Fact) -> str:
         why = _disturbances(scene, contact, f) + ", slip" * (f.reason == OFFSET_AND_SLIP)
     else:
         why = _REASONS[f.reason].format(f)
-    if f.kind == LINE and f.slips:
+    if f.kind == LINE and f.reason in (SLIPS, OFFSET_AND_SLIP):
         return why + ("; a developable surface" if f.panels else " negligible")
     if f.reason == FOLLOWING and SIDES[f.side] == "finger":
         return why + "; integrated even where a closed form is known, to confirm it"
@@ -121,7 +123,7 @@ def _skipped(facts: Sequence[Fact]) -> list[str]:
         notes.append("all integration")
     elif all(map(in_closed_form, fingers)):
         notes.append("integration of the finger")
-    if not any(f.slips or f.forced or f.reason in (SLIP_LEFT, NEGLIGIBLE) for f in objects):
+    if not any(f.reason in _SLIP for f in objects):
         if any(f.reason == OFFSET for f in objects):
             notes.append("gain (slip comes from rate offsets alone, and ends with them)")
         else:
