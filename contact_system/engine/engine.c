@@ -67,59 +67,56 @@ static plan_t *make_plan(const double *scene, int64_t size, const surface_t *con
   return plan;
 }
 
-static int anchor(plan_t *plan, failure_t *failure) {
-  work_t w;
-  begin_work(&w, plan, failure);
-  if (setjmp(w.jump) == 0) {
-    for (int64_t i = 0; i < plan->n_contacts; i++)
-      for (int s = 0; s < 2; s++)
-        anchor_side(&w, plan->contacts + i, s, plan->contacts[i].n_tracks[s]);
-  }
-  end_work(&w);
-  return (int)failure->code;
+/* Room for a call: the plan's, if `look` has made it keep some, else the caller's own */
+static work_t *enter(const plan_t *plan, work_t *own, failure_t *failure) {
+  begin_work(own, (plan_t *)plan, failure);
+  if (!plan->kept) return own;
+  plan->kept->plan = own->plan, plan->kept->failure = failure;
+  return plan->kept;
 }
 
-static void evaluate_all(work_t *w, const plan_t *plan, int64_t n, const double *t,
-                         double *const *out) {
-  for (int64_t i = 0; i < plan->n_contacts; i++) {
-    double *own[N_OUTPUTS];
-    for (int k = 0; k < N_OUTPUTS; k++) own[k] = out[k] ? out[k] + i * OUTPUT_ROWS[k] * n : NULL;
-    evaluate_contact(w, plan->contacts + i, n, t, own);
-  }
+static int leave(work_t *w) {
+  if (w != w->plan->kept) end_work(w);
+  return (int)w->failure->code;
+}
+
+static int anchor(plan_t *plan, failure_t *failure) {
+  work_t own, *const w = enter(plan, &own, failure);
+  if (setjmp(w->jump) == 0)
+    for (int64_t i = 0; i < 2 * plan->n_contacts; i++) {
+      contact_t *c = plan->contacts + i / 2;
+      anchor_side(w, c, i % 2, c->n_tracks[i % 2]);
+    }
+  return leave(w);
 }
 
 static int evaluate(const plan_t *plan, int64_t n, const double *t, double *const *out,
                     failure_t *failure) {
-  work_t w;
-  begin_work(&w, (plan_t *)plan, failure);
+  work_t own, *const w = enter(plan, &own, failure);
   for (int64_t i = 0; i < n; i++)
-    if (!(t[i] >= plan->begin && t[i] <= plan->end)) return (int)(failure->code = OUTSIDE);
-  if (setjmp(w.jump) == 0) evaluate_all(&w, plan, n, t, out);
-  end_work(&w);
-  return (int)failure->code;
+    if (!(t[i] >= plan->begin && t[i] <= plan->end)) failure->code = OUTSIDE;
+  if (failure->code) return leave(w);
+  if (setjmp(w->jump) == 0)
+    for (int64_t i = 0; i < plan->n_contacts; i++) {
+      double *to[N_OUTPUTS];
+      for (int k = 0; k < N_OUTPUTS; k++) to[k] = out[k] ? out[k] + i * OUTPUT_ROWS[k] * n : NULL;
+      evaluate_contact(w, plan->contacts + i, n, t, to);
+    }
+  return leave(w);
 }
 
 static int look(plan_t *plan, double t, double *const *out, failure_t *failure) {
-  if (!(t >= plan->begin && t <= plan->end)) return (int)(failure->code = OUTSIDE);
   if (!plan->kept) plan->kept = calloc(1, sizeof *plan->kept);
   if (!plan->kept) return (int)(failure->code = NO_MEMORY);
-  work_t *const w = plan->kept;
-  memset(failure, 0, sizeof *failure);
-  w->plan = plan, w->failure = failure;
-  if (setjmp(w->jump) == 0) evaluate_all(w, plan, 1, &t, out);
-  return (int)failure->code;
+  return evaluate(plan, 1, &t, out, failure);
 }
 
 static int moments(const plan_t *plan, double t, double *out, failure_t *failure) {
-  work_t own, *const w = plan->kept ? plan->kept : &own; /* kept by `look`: of one thread */
-  if (w == &own) begin_work(&own, (plan_t *)plan, failure);
-  memset(failure, 0, sizeof *failure);
-  w->plan = (plan_t *)plan, w->failure = failure;
+  work_t own, *const w = enter(plan, &own, failure);
   if (setjmp(w->jump) == 0)
     for (int64_t i = 0; i < plan->n_contacts; i++)
       moment_of(w, plan->contacts + i, t, out + i * MOMENT_SIZE);
-  if (w == &own) end_work(&own);
-  return (int)failure->code;
+  return leave(w);
 }
 
 static int64_t facts(const plan_t *plan, int64_t contact, int64_t room, fact_t *out) {

@@ -20,7 +20,7 @@ static void look_along(rays_t *r) {
 
 /* r->t: where the rays leave; 0 where the centre is not inside, infinite where a ray stays inside,
    NaN where no point is found. */
-static void leave(rays_t *r, double size) {
+static void trace(rays_t *r, double size) {
   const double farthest = ldexp(size, DOUBLINGS);
   double low[L], high[L], step[L];
   int out[L], going = 1;
@@ -63,7 +63,7 @@ static int rays(const table_t *level, const double *numbers, double size, int64_
       const int count = (int)(n - i < L ? n - i : L);
       for (int q = 0; q < L; q++)
         for (int j = 0; j < 3; j++) r.ray[j][q] = ray[j * n + i + (q < count ? q : count - 1)];
-      leave(&r, size);
+      trace(&r, size);
       memcpy(t + i, r.t, (size_t)count * sizeof *t);
     }
   }
