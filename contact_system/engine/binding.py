@@ -128,7 +128,7 @@ _CALLS: dict[str, Any] = {
 class Engine(Structure):
     """``engine_t``: the library's functions, for the widest vectors of this processor."""
 
-    _fields_ = [("version", c_int32), ("variant", c_char_p), *_CALLS.items()]
+    _fields_ = [("variant", c_char_p), *_CALLS.items()]
 
 
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")

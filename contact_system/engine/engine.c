@@ -170,8 +170,7 @@ static int run_table(const table_t *table, int64_t n, const double *in, const do
 #define TEXT_(variant) #variant
 #define TEXT(variant) TEXT_(variant)
 
-const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
-                                .variant = TEXT(VARIANT),
+const engine_t NAME(VARIANT) = {.variant = TEXT(VARIANT),
                                 .plan = make_plan,
                                 .drop = drop,
                                 .anchor = anchor,

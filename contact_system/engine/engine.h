@@ -51,11 +51,10 @@ extern const table_t contact_tables[];
 
 /* ---- the scene's buffer: doubles, places as offsets from its beginning ---- */
 
-enum { SCENE_VERSION = 6 };
+enum { SCENE_VERSION = 7 };
 
 /* the header */
 enum {
-  S_VERSION,
   S_CONTACTS,    /* how many */
   S_TOLERANCE,   /* of contact points, in sizes of the body */
   S_PANELS,      /* that all contacts may take together */
@@ -86,7 +85,6 @@ enum {
   K_FINGER,                /* BODY_SIZE numbers */
   K_MOMENT = K_FINGER + 5, /* 0: it starts as a scene says; 1: it goes on from moving frames */
   K_FOLLOWS,               /* rolling is imposed: the finger's curve is developed too */
-  K_FRAMES,                /* which frames are given: 1 finger, 2 object, 3 both */
   K_WINDOWS,               /* where its windows stand, and how many */
   K_WINDOWS_SIZE,
   K_LEGS, /* where its legs stand, and how many */
@@ -96,7 +94,7 @@ enum {
   K_ANGLE = K_PLACE_2 + 3, /* psi where both thetas are zero */
   K_W1,                    /* path velocity in the finger's parallel frame */
   K_Y = K_W1 + 2,          /* the object's path velocity; of a moment, V */
-  K_FRAME_1 = K_Y + 2,     /* x p */
+  K_FRAME_1 = K_Y + 2,     /* x p; zeros: they follow from u v theta */
   K_FRAME_2 = K_FRAME_1 + 6,
   CONTACT_SIZE = K_FRAME_2 + 6,
   /* what is left of a contact at some time, enough to go on from: its row from K_PLACE_1 on */
@@ -188,7 +186,6 @@ typedef struct {
 } steer_t;
 
 typedef struct {
-  int32_t version;
   const char *variant;
   plan_t *(*plan)(const double *scene, int64_t size, const surface_t *const *surfaces,
                   failure_t *failure);

@@ -310,10 +310,11 @@ static void begin(course_t *c) {
     const body_t *b = &c->c->body[side];
     memcpy(c->c->place[side], row + (side ? K_PLACE_2 : K_PLACE_1), sizeof c->c->place[side]);
     c->ambient[side] = moves_in_space(b->surface);
+    const double *frame = row + (side ? K_FRAME_2 : K_FRAME_1), *p = frame + 3;
     if (!c->ambient[side]) {
       memcpy(c->state[side], c->c->place[side], sizeof c->c->place[side]);
-    } else if ((int64_t)row[K_FRAMES] & (1 << side)) {
-      memcpy(c->state[side], row + (side ? K_FRAME_2 : K_FRAME_1), sizeof c->state[side]);
+    } else if (any(p) || p[2] != 0.0) {
+      memcpy(c->state[side], frame, sizeof c->state[side]);
       restore_body(c->w, side, b, c->state[side]);
     } else {
       to_space(c->w, b, c->c->place[side], c->state[side]);

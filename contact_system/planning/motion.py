@@ -24,8 +24,8 @@ from ..theory.gain import LAWS
 from .explanation import OUTSIDE, SINGULAR_TIME, failed, lines
 from .starts import Moment, Starts
 
-VERSION = 6
-HEADER, BODY, WINDOW, LEG, CONTACT = 15, 5, 5, 5, 35  # numbers in each
+VERSION = 7
+HEADER, BODY, WINDOW, LEG, CONTACT = 14, 5, 5, 5, 34  # numbers in each
 MOMENT = 23  # the last ones of a contact
 if LAYOUT != (VERSION, HEADER, BODY, WINDOW, LEG, CONTACT):
     raise ImportError(
@@ -37,7 +37,6 @@ _HEAD, _ROW = struct.Struct(f"{HEADER}d").pack, struct.Struct(f"{CONTACT}d").pac
 Numbers = tuple[float, ...]
 
 _NO_FRAME: Numbers = (0.0,) * 6
-_NO_FRAMES: Numbers = 2 * _NO_FRAME
 
 SHAPES: dict[str, tuple[int, ...]] = {
     "states": (9,),
@@ -84,7 +83,7 @@ class Buffer:
         law, obj = LAWS[scene.gain.law], self._body(scene.object)
         rows = self._rows(scene, begin, starts)
         head = _HEAD(
-            *(VERSION, len(scene.contacts), tolerance, limits.PANELS, begin, scene.duration),
+            *(len(scene.contacts), tolerance, limits.PANELS, begin, scene.duration),
             *(scene.gain.value, law.power, law.makes_up, HEADER + len(self._tail), *obj),
         )
         self.numbers = b"".join([head, struct.pack(f"{len(self._tail)}d", *self._tail), *rows])
@@ -123,21 +122,17 @@ class Buffer:
                 index = self._put([x for d in own for x in (d.slot, d.start, d.stop, *d.value)])
             if contact.legs not in legs:
                 legs[contact.legs] = self._legs(contact.way(scene.profile, scene.duration))
-            known = frames.get(i)
             if isinstance(start, Moment):
                 known = [start.finger_frame[:6], start.object_frame[:6]]
                 place: Numbers = (*start.finger_at, *start.object_at, start.angle)
                 velocities: Numbers = (*start.finger_velocity, *start.slip)
             else:
+                known = frames.get(i, [(), ()])
                 finger_at, object_at, angle, w1, w2 = start if starts else contact.start()
                 place, velocities = (*finger_at, 0.0, *object_at, 0.0, angle), (*w1, *w2)
-            which, both = 0, _NO_FRAMES
-            if known:
-                first, second = known
-                which = bool(first) + 2 * bool(second)
-                both = (*(first or _NO_FRAME), *(second or _NO_FRAME))
-            flags = (isinstance(start, Moment), contact.follows, which, index, len(own))
+            flags = (isinstance(start, Moment), contact.follows, index, len(own))
             finger = self._body(contact.finger)
+            both = *(known[0] or _NO_FRAME), *(known[1] or _NO_FRAME)
             rows.append(_ROW(*finger, *flags, *legs[contact.legs], *place, *velocities, *both))
         return rows
 

@@ -124,7 +124,7 @@ static status_t settle(component_t *c, const char *what, double target) {
         UNTRAPPED(wrong = begin_measured(c, i, s));
         c->failure = (failure_t){.code = STUCK};
         if (wrong) return refuse_motion(c, DISCARD, i, what, target, wrong);
-      } else if (cover(c, i, at) || go_on(c, i, c->live[i].plan, time_on(c, i), s)) {
+      } else if (cover(c, i, at) || go_on(c, c->live[i].plan, time_on(c, i), s)) {
         return refuse_motion(c, DISCARD, i, what, target, NULL);
       }
       s->end = at + lasted; /* where events follow each other closely, it is no use to plan far */

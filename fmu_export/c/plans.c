@@ -36,7 +36,7 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   c->failure = (failure_t){.code = STUCK};
   if (!(s->end > s->begin)) return NULL;
   memset(b, 0, S_HEADER * sizeof *b);
-  b[S_VERSION] = SCENE_VERSION, b[S_CONTACTS] = 1, b[S_TOLERANCE] = m->data[D_TOLERANCE];
+  b[S_CONTACTS] = 1, b[S_TOLERANCE] = m->data[D_TOLERANCE];
   b[S_PANELS] = MOST_PANELS;
   b[S_BEGIN] = s->begin, b[S_END] = s->end;
   b[S_GAIN] = s->gain, b[S_GAIN_POWER] = m->data[D_POWER], b[S_MAKES_UP] = m->data[D_MAKES_UP];
@@ -51,8 +51,7 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   }
   put_body(c, m->data + D_OBJECT, &next, b + S_OBJECT);
   put_body(c, contact_of(m, i) + P_FINGER, &next, row + K_FINGER);
-  row[K_MOMENT] = s->row[K_MOMENT], row[K_FRAMES] = s->row[K_FRAMES];
-  row[K_WINDOWS] = (double)(next - b);
+  row[K_MOMENT] = s->row[K_MOMENT], row[K_WINDOWS] = (double)(next - b);
   memcpy(row + K_PLACE_1, s->row + K_PLACE_1, MOMENT_SIZE * sizeof *row);
   double *const first = next;
   for (long k = 0; k < m->n_windows; k++) {
@@ -95,14 +94,12 @@ static int look_at(component_t *c, long i, double t, double *const out[N_OUTPUTS
 }
 
 /* A segment goes on at time t from where a plan of it has come to. */
-static int go_on(component_t *c, long i, plan_t *plan, double t, segment_t *s) {
+static int go_on(component_t *c, plan_t *plan, double t, segment_t *s) {
   double m[MOMENT_SIZE];
   if (moment_at(c, plan, t, m)) return 1;
   double *to = s->row;
   s->begin = t;
-  to[K_MOMENT] = 1.0, to[K_FRAMES] = 0.0;
-  for (int side = 0; side < 2; side++)
-    if (surface_of(c->model, i, side)->ambient[A_MOTION]) to[K_FRAMES] += 1 << side;
+  to[K_MOMENT] = 1.0;
   memcpy(to + K_PLACE_1, m, sizeof m);
   return 0;
 }
@@ -145,7 +142,7 @@ static int cover(component_t *c, long i, double target) {
   }
   if (reached(s->end, target)) return 0;
   next = *s;
-  if (go_on(c, i, k->plan, time_on(c, i), &next)) return 1;
+  if (go_on(c, k->plan, time_on(c, i), &next)) return 1;
   next.end = end_of(c, next.begin, next.begin + 2 * (next.begin - s->begin), target);
   plan_t *found = plan_ahead(c, i, &next, target);
   if (!found) return 1;

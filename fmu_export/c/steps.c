@@ -22,7 +22,6 @@ static const char *place_contact(component_t *c, long i) {
       memcpy(place, x, 3 * sizeof *x);
       continue;
     }
-    to[K_FRAMES] += 1 << side;
     memcpy(to + (side ? K_FRAME_2 : K_FRAME_1), x, 6 * sizeof *x);
     place[0] = coordinates[4 * side], place[1] = coordinates[4 * side + 1];
     place[2] = side ? theta : -(psi + turns * turn) - theta;
