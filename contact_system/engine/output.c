@@ -438,14 +438,7 @@ static void moment_of(work_t *w, contact_t *c, double t, double *out) {
     const track_t *k = c->tracks[side] + which;
     double *frame = row + (side ? K_FRAME_2 : K_FRAME_1);
     place_at(w, c, side, which, t, row + (side ? K_PLACE_2 : K_PLACE_1));
-    if (!moves_in_space(b->surface)) continue;
-    double state[6];
-    track_state(b, k, t, state);
-    if (k->ambient)
-      memcpy(frame, state, sizeof state);
-    else
-      to_space(w, b, state, frame);
-    restore_body(w, side, b, frame);
+    if (moves_in_space(b->surface)) usual_state(w, side, b, k, t, frame);
   }
   memcpy(out, row + K_PLACE_1, MOMENT_SIZE * sizeof *out);
 }

@@ -19,10 +19,8 @@ static const double ENDLESS = 1e11;
 typedef struct {
   work_t *w;
   contact_t *c;
-  const double *row; /* the contact in the buffer */
-  double state[2][6], w1[2], w2[2], v[2];
-  int64_t n_passed[2]; /* tracks at whose end that state is */
-  int ambient[2];      /* the form that each body is kept in */
+  const double *row;                      /* the contact in the buffer */
+  double start[2][6], w1[2], w2[2], v[2]; /* start: x p or u v theta of both bodies */
   int follows;
 } course_t;
 
@@ -40,46 +38,39 @@ static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, 
   track_t *k = &c->c->tracks[side][c->c->n_tracks[side]++];
   memset(k, 0, sizeof *k);
   k->drive = d, k->stop = stop, k->reason = reason;
-  k->ambient = c->ambient[side];
+  k->ambient = moves_in_space(c->c->body[side].surface);
   memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
   return k;
 }
 
 /* ---- states of bodies ---- */
 
-/* u v theta to (x, p) */
-static void to_space(work_t *w, const body_t *b, const double *place, double *state) {
-  const table_t *start = b->surface->ambient[A_START]; /* or it is known by its frame alone */
-  double found[9];
-  run_one(w, start ? start : b->surface->chart[C_FRAME], b->numbers, place, found);
-  memcpy(state, found, 6 * sizeof *state);
-}
-
 static void track_state(const body_t *b, const track_t *k, double t, double *state);
 static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t, double *place);
 
-/* The body where its last track ends, in the form that it is kept in. The end of a contact's last
-   track nobody asks for. */
-static const double *state_of(course_t *c, int side) {
+/* A body at a time on a track, in space if it moves there where nothing disturbs it */
+static void usual_state(work_t *w, int side, const body_t *b, const track_t *k, double t,
+                        double *state) {
+  track_state(b, k, t, state);
+  if (!moves_in_space(b->surface)) return;
+  if (!k->ambient) run_one(w, b->surface->ambient[A_START], b->numbers, state, state);
+  restore_body(w, side, b, state);
+}
+
+/* The same where its last track ends */
+static void state_of(course_t *c, int side, double *state) {
   const int64_t n = c->c->n_tracks[side];
-  if (c->n_passed[side] == n) return c->state[side];
-  const body_t *b = &c->c->body[side];
-  const track_t *k = &c->c->tracks[side][n - 1];
-  double state[6];
-  track_state(b, k, k->stop, state);
-  if (c->ambient[side] && !k->ambient)
-    to_space(c->w, b, state, c->state[side]);
+  const track_t *last = c->c->tracks[side] + n - 1;
+  if (n == 0)
+    memcpy(state, c->start[side], sizeof c->start[side]);
   else
-    memcpy(c->state[side], state, sizeof state);
-  if (c->ambient[side]) restore_body(c->w, side, b, c->state[side]);
-  c->n_passed[side] = n;
-  return c->state[side];
+    usual_state(c->w, side, &c->c->body[side], last, last->stop, state);
 }
 
 /* The state in the form that an interval needs */
 static void in_form(course_t *c, int side, int ambient, double *state) {
-  if (c->ambient[side] == ambient)
-    memcpy(state, state_of(c, side), sizeof c->state[side]);
+  if (moves_in_space(c->c->body[side].surface) == ambient)
+    state_of(c, side, state);
   else if (c->c->n_tracks[side] == 0)
     memcpy(state, c->c->place[side], sizeof c->c->place[side]);
   else
@@ -129,7 +120,8 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
   /* that rolling follows the object's curve as a geodesic is to come out, not to be put in */
   const int closed = c->follows && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
   if (closed != NO_CLOSED_FORM) {
-    const double *state = state_of(c, side);
+    double state[6];
+    state_of(c, side, state);
     track_t *k = add_track(c, side, drive, stop, reason);
     (closed == GREAT_CIRCLES ? lay_circle : lay_line)(c->w, b, state, k);
     return;
@@ -169,7 +161,8 @@ static panels_t slip_length(course_t *c, const drive_t *d) {
 }
 
 static void line(course_t *c, const drive_t *d, const double *offset, int matters) {
-  const double *state = state_of(c, 1);
+  double state[6];
+  state_of(c, 1, state);
   track_t *k = add_track(c, 1, d, d->stop, reason_of(c, offset));
   memcpy(k->offset, offset, sizeof k->offset);
   lay_line(c->w, &c->c->body[1], state, k);
@@ -308,16 +301,16 @@ static void begin(course_t *c) {
   c->c->angle = row[K_ANGLE];
   for (int side = 0; side < 2; side++) {
     const body_t *b = &c->c->body[side];
-    memcpy(c->c->place[side], row + (side ? K_PLACE_2 : K_PLACE_1), sizeof c->c->place[side]);
-    c->ambient[side] = moves_in_space(b->surface);
+    double *place = c->c->place[side], *start = c->start[side];
+    memcpy(place, row + (side ? K_PLACE_2 : K_PLACE_1), sizeof c->c->place[side]);
     const double *frame = row + (side ? K_FRAME_2 : K_FRAME_1), *p = frame + 3;
-    if (!c->ambient[side]) {
-      memcpy(c->state[side], c->c->place[side], sizeof c->c->place[side]);
+    if (!moves_in_space(b->surface)) {
+      memcpy(start, place, sizeof c->c->place[side]);
     } else if (any(p) || p[2] != 0.0) {
-      memcpy(c->state[side], frame, sizeof c->state[side]);
-      restore_body(c->w, side, b, c->state[side]);
+      memcpy(start, frame, sizeof c->start[side]);
+      restore_body(c->w, side, b, start);
     } else {
-      to_space(c->w, b, c->c->place[side], c->state[side]);
+      run_one(c->w, b->surface->ambient[A_START], b->numbers, place, start);
     }
   }
 }
