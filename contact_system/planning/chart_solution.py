@@ -6,9 +6,8 @@ For comparison: they are stiff in lam, and singular at poles and where sigma = 0
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,8 @@ from ..system import SceneSystem, SystemMachine, without_chart
 from .explanation import passed
 from .motion import SHAPES
 
-PARTS = 16  # parts of a solver's step that are searched for singular points
-LOST = 1e-12  # of the body's size: a Lame coefficient below it counts as zero
+PARTS, ROUNDS = 16, 10  # parts of a solver's step, then of these: frames are compared at their ends
+ALIKE = 0.7  # cosine of the angle by which a frame may turn in a part
 OUTPUTS = {
     "states": "state",
     "points": "contact_point",
@@ -145,22 +144,26 @@ class ChartContact:
         return OdeSolution(times, steps)
 
     def _require_regular(self) -> None:
-        """Refuse a path through a singular point of a chart.
+        """Refuse a path through a singular point of a chart, where the contact frame turns over.
 
         A solver does not notice a pole that a path crosses along a meridian: the equations are
-        smooth there, although the contact frame turns over.
+        smooth there. The search narrows where the frame turns far.
         """
-        ends, parts = self._solution.ts, np.arange(PARTS) / PARTS
-        t = np.append(ends[:-1, None] + np.diff(ends)[:, None] * parts, ends[-1])
-        scene = self._system.scene
+        scene, ends = self._system.scene, self._solution.ts
         for side, surface in enumerate((scene.contacts[0].finger, scene.object)):
-            lost = _zero(partial(self._regularity, side), t)
-            if lost is not None:
-                u, v = self._solution(lost)[4 * side : 4 * side + 2].tolist()
+            low, high = ends[:-1], ends[1:]
+            for _ in range(ROUNDS):
+                if not len(low):
+                    break
+                t = np.linspace(low, high, PARTS + 1)
+                place = self._solution(t.ravel())[4 * side : 4 * side + 2]
+                frame = surface.frame(*place).reshape(*t.shape, 3, 3)
+                alike = np.einsum("...ij,...ij->...j", frame[1:], frame[:-1]).min(axis=-1)
+                k, interval = np.nonzero(~(alike > ALIKE))  # a frame at the very point is NaN
+                low, high = t[k, interval], t[k + 1, interval]
+            if len(low):
+                u, v = self._solution(low[0])[4 * side : 4 * side + 2].tolist()
                 raise passed(self._where, surface, (u, v))
-
-    def _regularity(self, side: int, t: np.ndarray) -> np.ndarray:
-        return np.abs(self._output("regularity", t)[:, side])
 
     def _output(self, name: str, t: np.ndarray) -> np.ndarray:
         """An output of the system: (n_times, n)."""
@@ -180,34 +183,3 @@ class ChartContact:
             pose[:, :3, :] = values.reshape(-1, 4, 3).swapaxes(1, 2)
             return pose
         return values.reshape(-1, *SHAPES[name])
-
-
-def _zero(y: Callable[[np.ndarray], np.ndarray], t: np.ndarray) -> float | None:
-    """A time at which y, values like |x|, falls below LOST; None if there is none.
-
-    The search narrows around each local minimum of the values at times t.
-    """
-    values = y(t)
-    before, after = _neighbours(values)
-    k = np.flatnonzero((values <= np.fmin(before, after)) & (values < np.fmax(before, after)))
-    low, high = t[np.fmax(k - 1, 0)], t[np.fmin(k + 1, len(t) - 1)]
-    for _ in range(30):
-        if not len(low):
-            break
-        tried = np.linspace(low, high, 9)
-        values = y(tried.ravel()).reshape(tried.shape)
-        if values.min() <= LOST:
-            return float(tried.flat[values.argmin()])
-        before, after = _neighbours(values)
-        k, each = values.argmin(axis=0), np.arange(len(low))
-        low, high = tried[np.fmax(k - 1, 0), each], tried[np.fmin(k + 1, 8), each]
-        # at equidistant places, |x| nearest to a zero is at most a quarter of its neighbours' sum
-        falls = 3 * values[k, each] <= before[k, each] + after[k, each]
-        low, high = low[falls], high[falls]
-    return None
-
-
-def _neighbours(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The preceding and the following values along the first axis; inf beyond the ends."""
-    beyond = np.full_like(values[:1], np.inf)
-    return np.concatenate([beyond, values[:-1]]), np.concatenate([values[1:], beyond])
