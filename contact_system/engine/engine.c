@@ -13,9 +13,6 @@ enum { STAGES = 12 };
 #include "generated/gauss.inc"
 #include "generated/operations.inc"
 
-typedef struct work work_t;
-static _Noreturn void fail(work_t *w, int code);
-
 #include "interpret.c"
 #include "work.h"
 #include "motion.c"
@@ -140,29 +137,22 @@ static int64_t facts(const plan_t *plan, int64_t contact, int64_t room, fact_t *
 
 static int run_table(const table_t *table, int64_t n, const double *in, const double *constants,
                      int constants_vary, double *out) {
-  work_t w;
-  failure_t failure;
-  begin_work(&w, NULL, &failure);
-  if (setjmp(w.jump) == 0) {
-    unit_t *u = &w.pair[0];
-    lanes_t r = n > 0 ? load(&w, u, table, constants) : NULL;
-    for (int64_t i = 0; i < n; i += L) {
-      const int count = (int)(n - i < L ? n - i : L);
-      for (int j = 0; j < table->n_in; j++)
-        for (int q = 0; q < L; q++) r[j][q] = in[j * n + i + (q < count ? q : count - 1)];
-      if (constants_vary) { /* the prologue runs again for each block */
-        for (int j = 0; j < table->n_const; j++)
-          for (int q = 0; q < L; q++)
-            r[table->n_in + j][q] = constants[j * n + i + (q < count ? q : count - 1)];
-        interpret(table->prologue, r);
-      }
-      lanes_t found = run(u);
-      for (int j = 0; j < table->n_out; j++)
-        memcpy(out + j * n + i, found[j], (size_t)count * sizeof *out);
+  unit_t u = {0};
+  if (n > 0 && !load(&u, table, constants)) return NO_MEMORY;
+  for (int64_t i = 0; i < n; i += L) {
+    const int count = (int)(n - i < L ? n - i : L);
+    for (int j = 0; j < table->n_in; j++) gather(u.r[j], in + j * n + i, count);
+    if (constants_vary) { /* the prologue runs again for each block */
+      for (int j = 0; j < table->n_const; j++)
+        gather(u.r[table->n_in + j], constants + j * n + i, count);
+      interpret(table->prologue, u.r);
     }
+    lanes_t found = run(&u);
+    for (int j = 0; j < table->n_out; j++)
+      memcpy(out + j * n + i, found[j], (size_t)count * sizeof *out);
   }
-  end_work(&w);
-  return (int)failure.code;
+  free(u.r);
+  return NO_FAILURE;
 }
 
 #define NAME_(variant) engine_##variant

@@ -155,12 +155,13 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path, in
   }
 }
 
-static void load_lines(work_t *w, lines_t *g, const geodesic_t *how) {
+/* Returns 0 without memory. */
+static int load_lines(lines_t *g, const geodesic_t *how) {
   g->how = how, g->state = how->rates->n_in - FIELDS, g->rows = how->rates->n_in;
-  load(w, &g->rates, how->rates, how->numbers);
-  load(w, &g->frame, how->frame, how->numbers);
-  if (how->restore) load(w, &g->restore, how->restore, how->numbers);
-  if (how->lame) load(w, &g->lame, how->lame, how->numbers);
+  const double *numbers = how->numbers;
+  return load(&g->rates, how->rates, numbers) && load(&g->frame, how->frame, numbers) &&
+         (!how->restore || load(&g->restore, how->restore, numbers)) &&
+         (!how->lame || load(&g->lame, how->lame, numbers));
 }
 
 static void drop_lines(lines_t *g) {
@@ -169,30 +170,20 @@ static void drop_lines(lines_t *g) {
 
 static int geodesics(const geodesic_t *how, int64_t n, const double *start, const double *length,
                      const double *tolerance, double *end, int64_t m, double *path) {
-  work_t w;
-  failure_t failure;
-  begin_work(&w, NULL, &failure);
   lines_t *g = calloc(1, sizeof *g);
-  if (!g) return NO_MEMORY;
-  if (setjmp(w.jump) == 0) {
-    load_lines(&w, g, how);
-    for (int64_t i = 0; i < n; i += L) {
-      const int count = (int)(n - i < L ? n - i : L);
-      int lost[L] = {0};
-      g->tolerance = tolerance[i];
-      for (int q = 0; q < L; q++) {
-        const int64_t from = i + (q < count ? q : count - 1);
-        for (int r = 0; r < g->state; r++) g->y[r][q] = start[r * n + from];
-        g->length[q] = length[from];
-        g->tolerance = fmin(g->tolerance, tolerance[from]);
-      }
-      for (int r = 0; r < FIELDS; r++) fill_lanes(g->y[g->state + r], r == 1 || r == 2);
-      follow(g, m, n, count, path ? path + i : NULL, lost);
-      for (int r = 0; r < SHOWN; r++)
-        for (int q = 0; q < count; q++) end[r * n + i + q] = lost[q] ? NAN : g->shown[r][q];
-    }
+  const int ready = g && load_lines(g, how);
+  for (int64_t i = 0; ready && i < n; i += L) {
+    const int count = (int)(n - i < L ? n - i : L);
+    int lost[L] = {0};
+    for (int r = 0; r < g->state; r++) gather(g->y[r], start + r * n + i, count);
+    gather(g->length, length + i, count);
+    g->tolerance = tolerance[i];
+    for (int q = 1; q < count; q++) g->tolerance = fmin(g->tolerance, tolerance[i + q]);
+    for (int r = 0; r < FIELDS; r++) fill_lanes(g->y[g->state + r], r == 1 || r == 2);
+    follow(g, m, n, count, path ? path + i : NULL, lost);
+    for (int r = 0; r < SHOWN; r++)
+      for (int q = 0; q < count; q++) end[r * n + i + q] = lost[q] ? NAN : g->shown[r][q];
   }
-  drop_lines(g), free(g);
-  end_work(&w);
-  return (int)failure.code;
+  if (g) drop_lines(g), free(g);
+  return ready ? NO_FAILURE : NO_MEMORY;
 }

@@ -121,25 +121,30 @@ static inline void copy_lanes(double *to, const double *from) {
   UNROLL for (int p = 0; p < L; p += WIDE) * (wide_t *)(to + p) = *(const wide_t *)(from + p);
 }
 
+/* Some numbers, the last of them in all lanes that are left */
+static inline void gather(double *lanes, const double *from, int count) {
+  for (int i = 0; i < L; i++) lanes[i] = from[i < count ? i : count - 1];
+}
+
 static inline void copy_rows(lanes_t to, const double (*from)[L], int n) {
   for (int k = 0; k < n; k++) copy_lanes(to[k], from[k]);
 }
 
-/* Returns the registers: inputs from r[0] on. */
-static lanes_t load(work_t *w, unit_t *u, const table_t *table, const double *constants) {
-  if (u->table == table && u->constants == constants) return u->r;
+/* Registers: inputs from r[0] on. Returns 0 without memory. */
+static int load(unit_t *u, const table_t *table, const double *constants) {
+  if (u->table == table && u->constants == constants) return 1;
   if (u->room < table->n_regs) {
     free(u->r);
     u->table = NULL, u->room = 0;
     u->r = malloc((size_t)table->n_regs * sizeof *u->r);
-    if (!u->r) fail(w, NO_MEMORY);
+    if (!u->r) return 0;
     u->room = table->n_regs;
   }
   for (int j = 0; j < table->n_const; j++) fill_lanes(u->r[table->n_in + j], constants[j]);
   for (int j = 0; j < table->n_lit; j++) fill_lanes(u->r[table->first_lit + j], table->literals[j]);
   interpret(table->prologue, u->r);
   u->table = table, u->constants = constants;
-  return u->r;
+  return 1;
 }
 
 /* Runs what is loaded; returns the results' rows. */

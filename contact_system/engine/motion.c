@@ -42,13 +42,14 @@ typedef struct {
 
 static unit_t *table_of(work_t *w, int side, int ambient, int table, const body_t *b) {
   unit_t *u = &w->body[side][ambient][table];
-  load(w, u, ambient ? b->surface->ambient[table] : b->surface->chart[table], b->numbers);
+  const table_t *const *tables = ambient ? b->surface->ambient : b->surface->chart;
+  if (!load(u, tables[table], b->numbers)) fail(w, NO_MEMORY);
   return u;
 }
 
 static unit_t *pair_table(work_t *w, int table, const double *constants) {
   unit_t *u = &w->pair[table];
-  load(w, u, contact_tables + table, constants);
+  if (!load(u, contact_tables + table, constants)) fail(w, NO_MEMORY);
   return u;
 }
 

@@ -5,16 +5,16 @@ static const double SETTLED = 9e-16; /* last step of the method, relative */
 enum { DOUBLINGS = 40, MOST_TRIALS = 240 };
 
 typedef struct {
-  unit_t *level;
+  unit_t level;
   const double *centre;
   double ray[3][L], t[L], value[L], slope[L]; /* t: distances; the level function and its slope */
 } rays_t;
 
 static void look_along(rays_t *r) {
-  lanes_t in = r->level->r;
+  lanes_t in = r->level.r;
   for (int j = 0; j < 3; j++) SIMD for (int i = 0; i < L; i++) in[j][i] = r->centre[j] + r->t[i] * r->ray[j][i];
   copy_rows(in + 3, r->ray, 3);
-  lanes_t found = run(r->level);
+  lanes_t found = run(&r->level);
   copy_lanes(r->value, found[0]), copy_lanes(r->slope, found[1]);
 }
 
@@ -53,20 +53,14 @@ static void trace(rays_t *r, double size) {
 
 static int rays(const table_t *level, const double *numbers, double size, int64_t n,
                 const double *ray, double *t) {
-  work_t w;
-  failure_t failure;
-  begin_work(&w, NULL, &failure);
-  if (setjmp(w.jump) == 0) {
-    rays_t r = {.level = &w.pair[0], .centre = numbers + 1};
-    load(&w, r.level, level, numbers);
-    for (int64_t i = 0; i < n; i += L) {
-      const int count = (int)(n - i < L ? n - i : L);
-      for (int q = 0; q < L; q++)
-        for (int j = 0; j < 3; j++) r.ray[j][q] = ray[j * n + i + (q < count ? q : count - 1)];
-      trace(&r, size);
-      memcpy(t + i, r.t, (size_t)count * sizeof *t);
-    }
+  rays_t r = {.centre = numbers + 1};
+  if (!load(&r.level, level, numbers)) return NO_MEMORY;
+  for (int64_t i = 0; i < n; i += L) {
+    const int count = (int)(n - i < L ? n - i : L);
+    for (int j = 0; j < 3; j++) gather(r.ray[j], ray + j * n + i, count);
+    trace(&r, size);
+    memcpy(t + i, r.t, (size_t)count * sizeof *t);
   }
-  end_work(&w);
-  return (int)failure.code;
+  free(r.level.r);
+  return NO_FAILURE;
 }

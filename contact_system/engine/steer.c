@@ -369,33 +369,27 @@ static void search(search_t *w, int64_t count, double (*z)[L]) {
    the equations' slopes, [2 n][2 n][L]. Returns how many arrive, or -1 without memory. */
 static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z)[L], double *off,
                      double *squares) {
-  work_t work;
-  failure_t failure;
-  begin_work(&work, NULL, &failure);
+  const int n = 2 * (int)legs;
   search_t *w = calloc(1, sizeof *w);
   if (!w) return -1;
-  w->aim = aim, w->legs = (int)legs, w->unknowns = 2 * (int)legs;
-  if (setjmp(work.jump) == 0) {
-    for (int side = 0; side < 2; side++) {
-      rolled_t *r = w->rolled + side;
-      const geodesic_t *how = aim->body[side].how;
-      r->body = aim->body + side;
-      if (!how) continue;
-      load_lines(&work, &r->lines, how);
-      r->lines.tolerance = aim->tolerance;
-      load(&work, &r->shape, aim->body[side].shape, how->numbers);
-    }
-    search(w, count, z);
-    const int n = w->unknowns;
-    for (int l = 0; l < count; l++) off[l] = sqrt(w->best.size[l]);
-    for (int i = 0; i < n; i++)
-      for (int j = 0; j < n; j++)
-        memcpy(squares + (i * n + j) * L, w->best.square[i > j ? i : j][i > j ? j : i], L * sizeof(double));
+  w->aim = aim, w->legs = (int)legs, w->unknowns = n;
+  int ready = 1;
+  for (int side = 0; side < 2; side++) {
+    rolled_t *r = w->rolled + side;
+    const geodesic_t *how = aim->body[side].how;
+    r->body = aim->body + side, r->lines.tolerance = aim->tolerance;
+    if (!how) continue;
+    ready = ready && load_lines(&r->lines, how) && load(&r->shape, r->body->shape, how->numbers);
   }
+  if (ready) search(w, count, z);
+  for (int l = 0; l < count; l++) off[l] = sqrt(w->best.size[l]);
+  for (int i = 0; i < n; i++)
+    for (int j = 0; j < n; j++)
+      memcpy(squares + (i * n + j) * L, w->best.square[i > j ? i : j][i > j ? j : i],
+             L * sizeof(double));
   for (int side = 0; side < 2; side++)
-    if (aim->body[side].how) drop_lines(&w->rolled[side].lines), free(w->rolled[side].shape.r);
-  const int64_t met = failure.code ? -1 : w->met;
+    drop_lines(&w->rolled[side].lines), free(w->rolled[side].shape.r);
+  const int64_t met = ready ? w->met : -1;
   free(w);
-  end_work(&work);
   return met;
 }

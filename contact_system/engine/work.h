@@ -1,5 +1,7 @@
 /* What one call works with: drives, bodies, room, and where errors go. */
 
+typedef struct work work_t;
+
 /* numbers that live as long as a plan, in few pieces */
 typedef struct block {
   struct block *next;
