@@ -153,9 +153,7 @@ static double first_panel(const drive_t *d, double span, const body_t *b) {
 static panels_t slip_length(course_t *c, const drive_t *d) {
   motion_t m = {.n = 1, .drive = d, .length = d->stop - d->start};
   m.first = 4.0 * m.length, m.slip = 1.0, m.reach = HUGE_VAL;
-  m.scale[0] = 1.0 / fmax(length_at(d, m.length), 1e-300);
-  integrate(c->w, &m, 1e-3); /* how large g is */
-  m.scale[0] = 1.0 / fmax(m.state[0], 1e-300), m.state[0] = 0.0, m.slip = 1.0;
+  m.scale[0] = d->per_metre; /* the inverse of the most that g may be */
   integrate(c->w, &m, 1e-15);
   return kept_panels(c->w, &m);
 }
