@@ -9,7 +9,7 @@ import contextlib
 import csv
 import io
 import os
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -379,16 +379,13 @@ class Plan:
         if path.suffix not in (".npz", ".csv"):
             raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .npz or .csv")
         with writing(path, f"{self.scene.title}: ") as file:
-            self._write(file, path.suffix, t)
-
-    def _write(self, file: BinaryIO, ending: str, t: np.ndarray) -> None:
-        if ending == ".npz":
+            if path.suffix == ".csv":
+                file.write(self._csv(t).encode())
+                return
             from .planning.saved import texts_of  # archives are slow to import
 
             results = self.evaluate(t, "states", "slip", "twist", "pose", "points")
             np.savez_compressed(file, **texts_of(self), t=t, **results)  # type: ignore[arg-type]
-        else:
-            file.write(self._csv(t).encode())
 
     def sample_times(self, count: int = 401) -> np.ndarray:
         """Equally spaced times over the plan, and the scene's edges: (n,), ascending, s.

@@ -89,21 +89,24 @@ static int has_v(const motion_t *m) { return m->forced && m->side; }
 
 static int any(const double *d) { return d[0] != 0.0 || d[1] != 0.0; }
 
+/* W_2 = R_0 W_1 */
+static void to_object(const contact_t *c, lanes_t w1, lanes_t w2) {
+  for (int a = 0; a < 2; a++) {
+    const double x = c->r0[2 * a], y = c->r0[2 * a + 1];
+  SIMD for (int i = 0; i < L; i++) w2[a][i] = x * w1[0][i] + y * w1[1][i];
+  }
+}
+
 /* W_2 of an object under accelerations, and the finger's acceleration, at times t */
 static void follow_finger(work_t *w, const motion_t *m, const double *t, nodes_t *at) {
-  const double *r = m->contact->r0;
   const track_t *k = m->finger;
-  double x[MAX_STATES][L], (*w1)[L] = x + state_size(k ? k->ambient : 0);
-  for (int a = 0; a < 2; a++) fill_lanes(at->pushed[a], 0.0);
-  if (k) {
-    panels_at(&k->panels, 0, k->panels.rows, t, x);
-    const body_t *b = &m->contact->body[0];
-    copy_rows(at->pushed, to_parallel(w, 0, k->ambient, b, x, k->push), 2);
-  }
-  for (int a = 0; a < 2; a++)
-    if (k) SIMD for (int i = 0; i < L; i++) at->w2[a][i] = r[2 * a] * w1[0][i] + r[2 * a + 1] * w1[1][i];
-    else
-      fill_lanes(at->w2[a], m->w[a]);
+  double x[MAX_STATES][L];
+  for (int a = 0; a < 2; a++) fill_lanes(at->pushed[a], 0.0), fill_lanes(at->w2[a], m->w[a]);
+  if (!k) return;
+  panels_at(&k->panels, 0, k->panels.rows, t, x);
+  to_object(m->contact, x + state_size(k->ambient), at->w2);
+  const body_t *b = &m->contact->body[0];
+  copy_rows(at->pushed, to_parallel(w, 0, k->ambient, b, x, k->push), 2);
 }
 
 /* What is known at times t: all but `inverse` and `allowed` */

@@ -33,10 +33,11 @@ static void track_state(const body_t *b, const track_t *k, double t, double *sta
   for (int j = 0; j < state_size(k->ambient); j++) state[j] = found[j][0];
 }
 
-/* W_1 and V where accelerations change them, else as they are: rows of panels, or numbers */
-static void path_velocity(rows_t rows, const double *constant, const double *tau, lanes_t out) {
-  if (rows.panels)
-    panels_at(rows.panels, rows.row, 2, tau, out);
+/* W_1 or V where accelerations change it, else as it is */
+static void path_velocity(const panels_t *panels, const double *constant, const double *tau,
+                          lanes_t out) {
+  if (panels)
+    panels_at(panels, panels->rows - 2, 2, tau, out);
   else
     for (int a = 0; a < 2; a++) fill_lanes(out[a], constant[a]);
 }
@@ -63,16 +64,13 @@ typedef struct {
 static void sample_paths(const contact_t *c, sample_t *m) {
   const segment_t *s = m->segment;
   const drive_t *d = s->drive;
-  const double *r = c->r0;
   double tau[L], decay[L];
   for (int i = 0; i < L; i++) tau[i] = m->t[i] - d->start;
   horners(d->sigma, d->n_sigma, tau, m->sigma);
-  for (int side = 0; side < 2; side++) path_velocity(s->w1_rows, s->w[side], tau, m->w[side]);
-  for (int a = 0; a < 2 && s->w1_rows.panels; a++)
-    for (int i = 0; i < L; i++)
-      m->w[1][a][i] = r[2 * a] * m->w[0][0][i] + r[2 * a + 1] * m->w[0][1][i];
-  path_velocity(s->v_rows, s->v, tau, m->v);
-  if (s->v_rows.panels || !any(s->v)) return;
+  for (int side = 0; side < 2; side++) path_velocity(s->w1_panels, s->w[side], tau, m->w[side]);
+  if (s->w1_panels) to_object(c, m->w[0], m->w[1]);
+  path_velocity(s->v_panels, s->v, tau, m->v);
+  if (s->v_panels || !any(s->v)) return;
   decays(d, tau, m->sigma, decay);
   for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) m->v[a][i] *= decay[i];
 }
@@ -274,7 +272,7 @@ static void put_twist(work_t *w, const target_t *to, const contact_t *c, const s
 static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t *to, int needs,
                       int turned) {
   double *const *out = to->out;
-  const int forced = m->segment->v_rows.panels != NULL;
+  const int forced = m->segment->v_panels != NULL;
   const int accelerated = out[ACCELERATION] && forced;
   const int slip = turned || out[SLIP_SPEED] || out[TWIST] || out[CARRIED];
   if (slip || out[STATES]) sample_paths(c, m);

@@ -236,9 +236,8 @@ static void forced(course_t *c, segment_t *s) {
   const track_t *finger = NULL;
   if (any(act)) {
     motion_t m = forced_motion(c, 0, s, c->w1, 1.0);
-    track_t *k = add_motion(c, &m, d->stop, PUSHED);
-    s->w1_rows = (rows_t){&k->panels, m.n - 2};
-    finger = k;
+    finger = add_motion(c, &m, d->stop, PUSHED);
+    s->w1_panels = &finger->panels;
     go_along(c, m.state + m.n - 2);
   }
   /* slip that the accelerations can bring about is to be right to tolerance */
@@ -248,8 +247,7 @@ static void forced(course_t *c, segment_t *s) {
       fmax(push / fmax(d->least, 1e-300) * fmin(d->stop - d->start, d->memory), 1e-3);
   motion_t m = forced_motion(c, 1, s, c->v, 1.0 / fmin(fmax(norm(c->v), grown), 1.0));
   m.slip = 1.0, m.finger = finger;
-  track_t *k = add_motion(c, &m, d->stop, PUSHED);
-  s->v_rows = (rows_t){&k->panels, m.n - 2};
+  s->v_panels = &add_motion(c, &m, d->stop, PUSHED)->panels;
   memcpy(c->v, m.state + m.n - 2, sizeof c->v);
 }
 

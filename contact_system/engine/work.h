@@ -34,12 +34,6 @@ typedef struct {
   const double *edges, *series;
 } panels_t;
 
-/* two rows of a motion; none: panels is NULL */
-typedef struct {
-  const panels_t *panels;
-  int64_t row;
-} rows_t;
-
 /* One body on one interval */
 typedef struct {
   double stop; /* it starts with its drive */
@@ -61,13 +55,13 @@ typedef struct {
 } track_t;
 
 /* A piece of the horizon, what acts on it in chart components, and the path velocities on it: W_1,
-   W_2 and V decay, where nothing accelerates, else W_1 and V in panels. */
+   W_2 and V decay, where nothing accelerates, else W_1 and V as the last rows of panels. */
 typedef struct {
   const drive_t *drive;
   double acting[6];   /* accelerations of finger and object, rate offset of the object */
   const double *turn; /* where a leg begins: cosine and sine of the angle by which the path turns */
   double w[2][2], v[2];
-  rows_t w1_rows, v_rows;
+  const panels_t *w1_panels, *v_panels; /* or NULL */
 } segment_t;
 
 typedef struct {
