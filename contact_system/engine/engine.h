@@ -51,20 +51,19 @@ extern const table_t contact_tables[];
 
 /* ---- the scene's buffer: doubles, places as offsets from its beginning ---- */
 
-enum { SCENE_VERSION = 7 };
+enum { SCENE_VERSION = 8 };
 
-/* the header */
+/* the header; contacts follow it, CONTACT_SIZE each */
 enum {
-  S_CONTACTS,    /* how many */
-  S_TOLERANCE,   /* of contact points, in sizes of the body */
-  S_PANELS,      /* that all contacts may take together */
-  S_BEGIN,       /* s */
-  S_END,         /* s */
-  S_GAIN,        /* lam = gain sigma^power, */
-  S_GAIN_POWER,  /* a whole number from 0 on, */
-  S_MAKES_UP,    /* and 1: max(0, sigma'/sigma) besides */
-  S_AT_CONTACTS, /* where they stand, CONTACT_SIZE each */
-  S_OBJECT,      /* the object, BODY_SIZE numbers */
+  S_CONTACTS,   /* how many */
+  S_TOLERANCE,  /* of contact points, in sizes of the body */
+  S_PANELS,     /* that all contacts may take together */
+  S_BEGIN,      /* s */
+  S_END,        /* s */
+  S_GAIN,       /* lam = gain sigma^power, */
+  S_GAIN_POWER, /* a whole number from 0 on, */
+  S_MAKES_UP,   /* and 1: max(0, sigma'/sigma) besides */
+  S_OBJECT,     /* the object, BODY_SIZE numbers */
   S_HEADER = S_OBJECT + 5
 };
 /* a body */

@@ -315,7 +315,7 @@ static void plan_contact(work_t *w, int64_t index) {
   plan_t *plan = w->plan;
   contact_t *own = plan->contacts + index;
   course_t c = {.w = w, .c = own};
-  c.row = plan->scene + (int64_t)plan->scene[S_AT_CONTACTS] + index * CONTACT_SIZE;
+  c.row = plan->scene + S_HEADER + index * CONTACT_SIZE;
   c.follows = c.row[K_FOLLOWS] > 0;
   w->failure->contact = index;
   own->body[0] = body_of(plan, c.row + K_FINGER),

@@ -24,8 +24,8 @@ from ..theory.gain import LAWS
 from .explanation import OUTSIDE, SINGULAR_TIME, failed, lines
 from .starts import Moment, Starts
 
-VERSION = 7
-HEADER, BODY, WINDOW, LEG, CONTACT = 14, 5, 5, 5, 34  # numbers in each
+VERSION = 8
+HEADER, BODY, WINDOW, LEG, CONTACT = 13, 5, 5, 5, 34  # numbers in each
 MOMENT = 23  # the last ones of a contact
 if LAYOUT != (VERSION, HEADER, BODY, WINDOW, LEG, CONTACT):
     raise ImportError(
@@ -78,19 +78,19 @@ class Buffer:
     def __init__(self, scene: Scene, tolerance: float, begin: float, starts: Starts | None):
         self.count = len(scene.contacts)
         self.surfaces: list[Surface] = []
-        self._tail: list[float] = []  # what follows the header
+        self._tail: list[float] = []  # what follows header and contacts
         self._bodies: dict[int, Numbers] = {}
         law, obj = LAWS[scene.gain.law], self._body(scene.object)
         rows = self._rows(scene, begin, starts)
         head = _HEAD(
             *(len(scene.contacts), tolerance, limits.PANELS, begin, scene.duration),
-            *(scene.gain.value, law.power, law.makes_up, HEADER + len(self._tail), *obj),
+            *(scene.gain.value, law.power, law.makes_up, *obj),
         )
-        self.numbers = b"".join([head, struct.pack(f"{len(self._tail)}d", *self._tail), *rows])
+        self.numbers = b"".join([head, *rows, struct.pack(f"{len(self._tail)}d", *self._tail)])
 
     def _put(self, numbers: Sequence[float]) -> int:
         """Add numbers; returns their index."""
-        index = HEADER + len(self._tail)
+        index = HEADER + CONTACT * self.count + len(self._tail)
         self._tail += numbers
         return index
 

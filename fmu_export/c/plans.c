@@ -31,11 +31,11 @@ static void put_window(double **next, double slot, double start, double stop, co
 /* The engine's plan of contact i under a segment; NULL, with c->failure, where there is none. */
 static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   const model_t *m = c->model;
-  double *b = c->buffer, *next = b + S_HEADER, row[CONTACT_SIZE] = {0};
+  double *b = c->buffer, *row = b + S_HEADER, *next = row + CONTACT_SIZE;
   plan_t *found;
   c->failure = (failure_t){.code = STUCK};
   if (!(s->end > s->begin)) return NULL;
-  memset(b, 0, S_HEADER * sizeof *b);
+  memset(b, 0, (S_HEADER + CONTACT_SIZE) * sizeof *b);
   b[S_CONTACTS] = 1, b[S_TOLERANCE] = m->data[D_TOLERANCE];
   b[S_PANELS] = MOST_PANELS;
   b[S_BEGIN] = s->begin, b[S_END] = s->end;
@@ -63,8 +63,6 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
     if (s->acting[2 * slot] != 0.0 || s->acting[2 * slot + 1] != 0.0)
       put_window(&next, slot, s->begin, s->end, s->acting + 2 * slot, 1.0);
   row[K_WINDOWS_SIZE] = (double)((next - first) / WINDOW_SIZE);
-  b[S_AT_CONTACTS] = (double)(next - b);
-  memcpy(next, row, sizeof row), next += CONTACT_SIZE;
   UNTRAPPED(found = c->engine->plan(b, next - b, m->surfaces, &c->failure));
   return found;
 }
