@@ -36,7 +36,7 @@ typedef struct {
   double begin, end; /* s; planned so far; negative: how far it is to be planned */
   double gain, acting[DISTURBANCES];
   double trigger;           /* that has last been heard */
-  double row[CONTACT_SIZE]; /* of the engine: K_MOMENT, K_FRAMES, and K_PLACE_1 and on */
+  double row[CONTACT_SIZE]; /* of the engine: K_MOMENT, and K_PLACE_1 and on */
 } segment_t;
 
 /* Everything that changes, and nothing else: the FMU state is a copy of it. No pointers. In memory
