@@ -14,13 +14,7 @@ import contact_system as cs
 
 fmpy = pytest.importorskip("fmpy")
 
-from fmu_hosts.blocks import (  # noqa: E402
-    BLOCKS,
-    Instance,
-    close,
-    simulated,
-    simulated_states,
-)
+from fmu_hosts.blocks import BLOCKS, Instance, close, simulated, simulated_states  # noqa: E402
 
 from fmu_export import PlannerSlave2, PlannerSlave3, variable_table  # noqa: E402
 
@@ -102,8 +96,11 @@ def test_a_start_without_a_contact_frame_is_refused(kind, version):
 
 @of_blocks
 def test_a_measured_pose_without_a_contact_is_discarded(kind, version):
-    one, other = (Instance(K4, kind, version, measured="pose").begin() for _ in range(2))
+    events = {"eventModeUsed": True} if version == "3.0" else {}
+    one, other = (Instance(K4, kind, version, measured="pose", **events).begin() for _ in range(2))
     for block in (one, other):
+        if events:
+            block.own.enterStepMode()
         block.step(0.5)
     one.put({"contact[2].measured.trigger": 1.0})  # the pose is still that of the start values
     one.refused(r"contact\[2\].*no step.*measure", one.step, 0.1)

@@ -174,7 +174,7 @@ FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool 
   do /* across edges where the importer does not let a step end early */
     s = step(c, target);
   while (!s && c->now->pending && crosses && !reached(c->now->time, target));
-  if (s && crosses) take_back(c);
+  if (s && c->now->time > *last_time) take_back(c); /* else the step has left all as it was */
   *last_time = c->now->time;
   *terminate = c->now->ended || (ends && !s && reached(c->now->time, limit));
   *event = c->now->pending && !s, *early = !s && !reached(c->now->time, end);
