@@ -104,6 +104,8 @@ def test_a_measured_pose_without_a_contact_is_discarded(kind, version):
         block.step(0.5)
     one.put({"contact[2].measured.trigger": 1.0})  # the pose is still that of the start values
     one.refused(r"contact\[2\].*no step.*measure", one.step, 0.1)
+    one.put({"contact[2].measured.trigger": 2.0})
+    one.refused("no values", one.directional, ["der(contact[1].finger.u)"], [PUSH], [1.0])
     for block in (one, other):
         block.step(0.1)
     assert one.states().tolist() == other.states().tolist()

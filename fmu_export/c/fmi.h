@@ -289,6 +289,8 @@ static status_t products(component_t *c, int transposed, const unsigned from[], 
       if (side == transposed && kind == CALCULATED)
         REFUSE("%s is not a known; give inputs, states or parameters", c->model->names[reference]);
     }
+  const status_t s = SYSTEM(c->now) ? OK : settle(c, "values", c->now->time);
+  if (s) return s;
   if (transposed)
     adjoint(c, from, n_from, seed, to, n_to, value, n);
   else
