@@ -18,11 +18,7 @@ from fmpy.validation import validate_fmu  # noqa: E402
 from fmu_hosts.blocks import Instance  # noqa: E402
 
 from fmu_export import in_process, variable_table  # noqa: E402
-from fmu_export.description import (  # noqa: E402
-    model_description,
-    model_identifier,
-    terminals,
-)
+from fmu_export.description import model_description, model_identifier, terminals  # noqa: E402
 
 BOTH = ("CoSimulation", "ModelExchange")
 of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])

@@ -85,13 +85,16 @@ static unsigned group_of(const component_t *c, long i, long reference) {
   return BIT(g) & ALL_RESULTS;
 }
 
+/* tables divide an acceleration by 1e-300 at rest */
+#define BEYOND_VALUES 1e200
+
 /* The first of these values that there is not; count where there are all */
 static long without_value(const component_t *c, unsigned reference, const double *value,
                           long count) {
   const long owner = c->model->owners[reference];
   long i = 0;
   for (; i < count; i++) {
-    if (fabs(value[i]) <= 1e200) continue; /* tables divide an acceleration by 1e-300 at rest */
+    if (fabs(value[i]) <= BEYOND_VALUES) continue;
     if (!(fabs(value[i]) <= DBL_MAX) ||
         (kind_of(c->model, reference + i) == CALCULATED && rests(c, owner)))
       break;
@@ -170,8 +173,10 @@ static void grow_results(component_t *c, long i) {
     });
     memcpy(results, c->tangents + t->first_out, room);
   }
-  for (long j = 0; j < n_results(l) && past_end(c); j++)
-    for (int d = 0; d < L; d++) results[j][d] = NAN;
+  const double most = past_end(c) ? -1.0 : rests(c, i) ? BEYOND_VALUES : HUGE_VAL;
+  for (long j = 0; j < n_results(l); j++)
+    for (int d = 0; d < L; d++)
+      if (fabs(results[j][d]) > most) results[j][d] = NAN;
 }
 
 /* All results, from what stands in c->grows of the other values */
