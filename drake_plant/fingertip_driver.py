@@ -23,7 +23,7 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
-from pydrake.multibody.tree import BodyIndex
+from pydrake.multibody.tree import BodyIndex, world_index
 from pydrake.systems.framework import Context, LeafSystem
 
 from contact_system import Scene, SceneError
@@ -223,15 +223,15 @@ def _check(parts: ScenePlant) -> None:
     error.
     """
     scene, config, plant, obj = parts.scene, parts.config, parts.plant, parts.object_body
-    step, free = plant.time_step(), obj.is_floating_base_body()
-    alone = plant.num_velocities(obj.model_instance()) == 6 * free
+    step, floats = plant.time_step(), obj.is_floating_base_body()
+    alone = plant.num_velocities(obj.model_instance()) == 6 * floats
     if step and not plant.has_sampled_output_ports():  # Drake would tell of an algebraic loop
         raise SceneError(
             f"{scene.title}: the plant has no sampled output ports, so that its accelerations "
             "depend on the forces that are made from them; give MultibodyPlantConfig "
             "use_sampled_output_ports=True"
         )
-    if not step and not (alone and (free or plant.IsAnchored(obj))):
+    if not step and not (alone and (floats or plant.IsAnchored(obj))):
         raise SceneError(
             f"{scene.title}: time_step = 0: the object is on a joint, or with others in its model "
             "instance, so that its acceleration is not known beforehand; give it a model instance "
@@ -241,7 +241,8 @@ def _check(parts: ScenePlant) -> None:
     for i, (contact, body) in enumerate(zip(scene.contacts, parts.finger_bodies)):
         for joint in joints:
             parent, child = joint.parent_body().index(), joint.child_body().index()
-            if parent == body.index() or (child == body.index() and joint.num_velocities() != 6):
+            free = joint.num_velocities() == 6 and parent == world_index()
+            if parent == body.index() or (child == body.index() and not free):
                 raise SceneError(
                     f"{scene.title}, contact {i}: body '{body.name()}' is not free, but has the "
                     f"joint '{joint.name()}'; forces are made for a body that moves alone: take "

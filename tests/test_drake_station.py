@@ -643,9 +643,10 @@ def with_a_camera(plant, finger):
     plant.WeldFrames(finger.body_frame(), camera.body_frame())
 
 
-def on_a_slide(plant, finger):
-    slide = PrismaticJoint("slide", plant.world_frame(), finger.body_frame(), [0.0, 0.0, 1.0])
-    plant.AddJoint(slide)
+def on_a_joint(kind, parent, *axis):
+    return lambda plant, finger: plant.AddJoint(
+        kind("joint", plant.GetFrameByName(parent), finger.body_frame(), *axis)
+    )
 
 
 @pytest.mark.parametrize(
@@ -654,7 +655,9 @@ def on_a_slide(plant, finger):
         ({"step": 0.1}, "'C2', contact 0: time_step = 0.1: a finger of 0.01 kg can be held"),
         ({"off": 1e-3}, "'C2', contact 0: the mass centre of body 'finger' is at .0.001, 0"),
         ({"more": with_a_camera}, "0: body 'finger' is not free, but has the joint 'finger_welds_"),
-        ({"more": on_a_slide}, "0: body 'finger' is not free, but has the joint 'slide'; forces"),
+        ({"more": on_a_joint(PrismaticJoint, "world", [0.0, 0.0, 1.0])}, "has the joint 'joint'"),
+        # its place would be that on the object
+        ({"more": on_a_joint(RpyFloatingJoint, "object")}, "has the joint 'joint'; forces"),
         # forces that depend on the accelerations that they cause
         ({"sampled": False}, "the plant has no sampled output ports, .* give Multi"),
     ],
@@ -663,11 +666,7 @@ def test_fingers_that_cannot_be_driven_alone_are_refused(changes, message):
     """Whatever the configuration says; a floating joint of one's own is fine."""
     with pytest.raises(cs.SceneError, match=message):
         FingertipDriver(own_parts(**changes))
-    world = lambda plant: (plant.world_frame(),)  # noqa: E731
-    floating = lambda plant, finger: plant.AddJoint(  # noqa: E731
-        RpyFloatingJoint("free", *world(plant), finger.body_frame())
-    )
-    FingertipDriver(own_parts(more=floating))
+    FingertipDriver(own_parts(more=on_a_joint(RpyFloatingJoint, "world")))
 
 
 def test_wrong_parts_of_a_plant_of_ones_own_are_named():
