@@ -22,7 +22,7 @@ from pydrake.solvers import ClarabelSolver, LorentzConeConstraint, MathematicalP
 
 from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
-from contact_system.checks import Array, shaped_array
+from contact_system.checks import Array, finite_number, shaped_array
 
 from .config import StationConfig
 
@@ -58,7 +58,7 @@ def balancing_forces(
         What the contacts shall exert on the object together, N and N m about the frame's origin:
         mass times acceleration less its weight (see :func:`needed_wrench`).
     margin : float
-        Part of each friction cone that may be used.
+        Part of each friction cone that may be used, 1 or less.
     least : (n,) or float
         Least normal forces, N.
     t : (m,), optional
@@ -75,7 +75,8 @@ def balancing_forces(
     ------
     SceneError
         No such forces exist, with the first time and the wrench that is left there; arrays of
-        other shapes, numbers that are not finite, normals that are no unit vectors.
+        other shapes, numbers that are not finite, normals that are no unit vectors, a margin
+        that is not in 0 to 1.
     """
     points = shaped_array(points, "points")
     if points.ndim != 3 or points.shape[2] != 3:
@@ -85,8 +86,10 @@ def balancing_forces(
         shaped_array(given, name, (times, 3))
         for name, given in (("force", force), ("torque", torque))
     )
-    for name, given in (("margin", margin), ("friction", friction), ("least", least)):
-        if np.shape(given) not in ((), (count,)):
+    if finite_number(margin, "margin", "not below 0") > 1:
+        raise SceneError(f"margin = {margin!r}: give a part of the friction cones, at most 1")
+    for name, given in (("friction", friction), ("least", least)):
+        if shaped_array(given, name).shape not in ((), (count,)):
             raise SceneError(f"{name} = {given!r}: give a number, or one for each contact")
         if np.min(given) < 0:
             raise SceneError(f"{name} = {given!r}: contacts would pull; give 0 or more")

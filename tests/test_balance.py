@@ -75,13 +75,15 @@ def test_no_grasp_is_refused_with_what_is_left_unbalanced(angles, friction, torq
 
 def test_normals_and_wrenches_have_the_sizes_that_are_asked_for():
     points, normals = around(3)
-    for length in (0.0, 0.5, np.nan):
-        with pytest.raises(cs.SceneError, match="give vectors of length 1"):
-            balancing_forces(points, length * normals, 0.5, [[0, 0, WEIGHT]], [[0, 0, 0]])
-    with pytest.raises(cs.SceneError, match=r"^force has shape \(3,\); give \(1, 3\)"):
-        balancing_forces(points, normals, 0.5, [0, 0, WEIGHT], [[0, 0, 0]])
-    with pytest.raises(cs.SceneError, match="give a number, or one for each contact"):
-        balancing_forces(points, normals, [0.5, 0.5], [[0, 0, WEIGHT]], [[0, 0, 0]])
+    right = {"normals": normals, "friction": 0.5, "force": [[0, 0, WEIGHT]], "torque": [[0, 0, 0]]}
+    for wrong, words in (
+        *(({"normals": x * normals}, "give vectors of length 1") for x in (0.0, 0.5, np.nan)),
+        ({"force": [0, 0, WEIGHT]}, r"^force has shape \(3,\); give \(1, 3\)"),
+        ({"friction": [0.5, 0.5]}, "give a number, or one for each contact"),
+        ({"margin": 2}, "^margin = 2: give a part of the friction cones, at most 1"),
+    ):
+        with pytest.raises(cs.SceneError, match=words):
+            balancing_forces(points, **right | wrong)
 
 
 def test_needed_wrench_is_that_of_newton_and_euler():
