@@ -56,7 +56,7 @@ from contact_system.theory.symbols import per_structure
 from .config import require_config
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs
-from .pressing import contact_depth
+from .pressing import alike
 from .scratch import FingerTables, PerThread, named
 
 TINY = sys.float_info.min
@@ -85,8 +85,6 @@ finger."""
 AT_FINGER = 1.0
 SIZES = {name: rows.stop - rows.start for name, rows in COLUMNS.items()} | {"sliding": 3}
 NOISY = ("state", "sliding")
-ANOTHER = 0.1
-"""Of its size, by how much a body differs that is another one."""
 SATURATED = 0.95
 """Friction counts as saturated from this part of mu N on: facets let N itself ripple."""
 SLIDES = 0.7
@@ -163,7 +161,7 @@ class ContactMonitor(LeafSystem):
         require_scene(scene)
         require_config(scene_plant, ScenePlant, "scene_plant")
         n = len(scene.contacts)
-        if not _alike(scene, scene_plant.scene, 2 * contact_depth(scene_plant.config)):
+        if not alike(scene, scene_plant.scene, scene_plant.config):
             raise SceneError(
                 f"{scene.title} has other surfaces, sizes or contacts than scene_plant, of "
                 f"{scene_plant.scene.title}: give the scene that it was made for, or rolling_scene "
@@ -251,15 +249,6 @@ class ContactMonitor(LeafSystem):
                 off = math.dist(pair.p_WCa if first else pair.p_WCb, p_WC)
                 share = AT_FINGER if self._at_finger[i] else min(1.0, off / max(pair.depth, TINY))
                 gauges.touch(i, share, 0.0, p_WC, force if first else -force, 0.0)
-
-
-def _alike(one: Scene, other: Scene, pressed: float) -> bool:
-    """Whether two scenes have the same bodies, but for what contact presses in, m."""
-    bodies = [(scene.object, *(c.finger for c in scene.contacts)) for scene in (one, other)]
-    return len(bodies[0]) == len(bodies[1]) and all(
-        type(a) is type(b) and abs(a.size - b.size) <= max(ANOTHER * b.size, pressed)
-        for a, b in zip(*bodies)
-    )
 
 
 def _slip(finger: Surface, obj: Surface, state: Array) -> Array:

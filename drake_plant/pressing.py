@@ -28,6 +28,7 @@ from contact_system.theory import symbols as ca
 from .config import StationConfig
 
 SPACING = 0.0025  # m, of points along the plan that show where contacts go
+ANOTHER = 0.1  # of its size, by how much a body differs that is another one
 LINE = 1e-6  # of the greatest relative curvature: less is a line, straight but for rounding
 # Of kinds of surfaces what is less where they give way by a depth.
 RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
@@ -132,6 +133,15 @@ def _smaller_implicit(surface: ImplicitSurface, by: float) -> ImplicitSurface:
         parameters={**surface.named_parameters, depth: by},
         size=surface.size - by,
         inside=surface.inside,
+    )
+
+
+def alike(planned: Scene, nominal: Scene, config: StationConfig) -> bool:
+    """Whether two scenes have the same bodies, but for what contact presses in."""
+    pressed, bodies = 2 * contact_depth(config), (planned.surfaces, nominal.surfaces)
+    return len(planned.contacts) == len(nominal.contacts) and all(
+        type(a) is type(b) and abs(a.size - b.size) <= max(ANOTHER * b.size, pressed)
+        for a, b in zip(*bodies)
     )
 
 
