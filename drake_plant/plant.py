@@ -72,6 +72,7 @@ from contact_system import (
 from contact_system.checks import Array
 from contact_system.errors import ContactSystemError
 from contact_system.plots.style import BODY, colour_of
+from contact_system.scene import require_scene
 
 from .config import EDGES, StationConfig, checked, require_config
 from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
@@ -142,7 +143,8 @@ class ScenePlant:
     Raises
     ------
     SceneError
-        A plant that is not finalized, or more or fewer fingers than contacts.
+        A plant that is not finalized, bodies of another one, or more or fewer fingers than
+        contacts.
     """
 
     scene: Scene
@@ -154,7 +156,14 @@ class ScenePlant:
     meshed: bool = False
 
     def __post_init__(self) -> None:
+        require_scene(self.scene)
+        require_config(self.config, StationConfig)
+        require_config(self.plant, MultibodyPlant, "plant")
         wanted, given = len(self.scene.contacts), len(self.finger_bodies)
+        for body in (self.object_body, *self.finger_bodies):
+            require_config(body, RigidBody, "body")
+            if body.GetParentPlant() is not self.plant:
+                raise SceneError(f"body = {body!r}: it is another plant's; give one of this plant")
         if not self.plant.is_finalized():
             raise SceneError("the plant is not finalized: call plant.Finalize() first")
         if given != wanted:
