@@ -255,6 +255,16 @@ class ContactPlanner(_Convertible, LeafSystem):
                 "the time to 0, which SetDefaultContext leaves alone, or the state of its start by "
                 'SceneSystem.from_states, or give coordinates="frame"'
             )
+        times = t, max(0.0, math.nextafter(t, -math.inf))  # at a corner it is turned hereafter
+        for i, held in enumerate(system.held_slices):
+            legs = [system.leg_numbers(i, time) for time in times]
+            own_leg = own.held[held.stop - len(legs[0]) : held.stop]
+            if not any((leg == own_leg).all() for leg in legs):
+                raise SceneError(
+                    f"{system.scene.title}, contact {i}: the simulation begins at t = {t:g} s with "
+                    "the state of another leg: set time and state of one moment, such as 0 and "
+                    "that of SetDefaultContext, which leaves the time alone, or give a PlanSource"
+                )
         own.began = own.look = t
         starts = (t, *own.x, *own.held) == (0.0, *system.x0, *system.held0)
         self._Follow(context, None if starts else self._Numbers(context, "state"))

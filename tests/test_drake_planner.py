@@ -595,12 +595,13 @@ def test_a_chart_near_its_pole_is_refused_with_the_remedy(options):
 
 
 def test_a_later_start_wants_the_state_of_that_time():
-    scene = cs.load_scene("K4")
-    late = Simulator(ContactPlanner(scene))
-    late.get_mutable_context().SetTime(0.5)
-    with pytest.raises(cs.SceneError, match="t = 0.5 s, where sigma is 0.195 m/s, with the state"):
-        late.Initialize()
-    state, _ = cs.SceneSystem(scene).from_states(0.5, cs.plan(scene).states(0.5)[0])
+    for name, words in (("R1", "the state of another leg: set"), ("K4", "where sigma is 0.355")):
+        scene = cs.load_scene(name)
+        late = Simulator(ContactPlanner(scene))
+        late.get_mutable_context().SetTime(1.5)
+        with pytest.raises(cs.SceneError, match=f"t = 1.5 s(,| with) {words}"):
+            late.Initialize()
+    state, _ = cs.SceneSystem(scene).from_states(1.5, cs.plan(scene).states(1.5)[0])
     late.get_mutable_context().SetContinuousState(state)
     late.Initialize()
 

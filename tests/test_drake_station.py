@@ -692,13 +692,10 @@ def test_arguments_of_another_kind_are_refused_by_name(tmp_path):
         (lambda: Recording(0), "frames = 0: give a finite number above"),
         (lambda: film.Save("film.html"), "nothing to save in film.html: call Add before"),
     ]
-    for name in ("none/film.html", ""):
-        path = tmp_path / name
-        words = "recording = .*folder that exists"
-        refused += [(lambda path=path: simulate(scene, given, recording=path), words)]
+    for path in (tmp_path / "none" / "film.html", tmp_path):
+        refused += [(lambda path=path: simulate(scene, given, recording=path), "in a folder that")]
     for time in (-1.0, math.nan, 1e-4):
-        words = f"scene 'D1': (a simulation of|duration =) {time!r}"
-        refused += [(lambda time=time: simulate(scene, given, duration=time), words)]
+        refused += [(lambda time=time: simulate(scene, given, duration=time), f"D1': .* {time!r}")]
     for call, words in refused:
         with pytest.raises(cs.SceneError, match=words):
             call()
