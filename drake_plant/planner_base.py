@@ -145,18 +145,18 @@ class PlannerBase(_System):
             found.add(self.input_port_ticket(self._disturbance.get_index()))
         return found or {self.nothing_ticket()}
 
-    def _Acting(self, context: Any, *outputs: str) -> Array:
+    def _Acting(self, context: Any, *outputs: str) -> list[Any]:
         """What windows and the disturbance port add, (n_w,).
 
         Outputs without feedthrough do not ask the port, which may depend on them.
         """
         t, port = context.get_time(), self._disturbance
-        w = np.zeros(self.system.n_w, float if self.T is float else object)
+        w: list[Any] = [0.0] * self.system.n_w
         for d, rows in self.system.windows:
             acts = select(t >= d.start, 1.0, 0.0) - select(t >= d.stop, 1.0, 0.0)
             for k, value in enumerate(d.value, rows.start):
                 w[k] += acts * value
         fed = port is not None and not self._fed_through.isdisjoint(outputs)
         if fed and port.HasValue(context):
-            w[:] = [a + b for a, b in zip(w, port.Eval(context).ravel())]  # numpy warns of branches
+            return [a + b for a, b in zip(w, port.Eval(context).ravel().tolist())]
         return w
