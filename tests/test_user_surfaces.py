@@ -334,7 +334,7 @@ def test_formulas_are_used_in_many_threads(program):
             ["u_period", "0.628 m apart"],
         ),
         (lambda: ParametricSurface(("u", "v", "k"), parameters={"k": np.inf}), ["'k'", "inf"]),
-        (lambda: ParametricSurface(("u", "v", "u"), parameters={"u": 1}), ["'u'", "meaning"]),
+        (lambda: ParametricSurface(("u", "v", "u"), parameters={"ｕ": 1}), ["'ｕ'", "meaning"]),
         (lambda: ParametricSurface(("u", "v", "u"), parameters={"a b": 1}), ["'a b'"]),
         (lambda: ImplicitSurface(lambda x, y, z: x + y * z), ["'z'", "x, one column of three"]),
         (lambda: ImplicitSurface("x + q"), ["unknown name q"]),

@@ -121,17 +121,17 @@ def _named(parameters: Any, letters: str) -> dict[str, float]:
     if parameters is None:
         return {}
     of_kind(Mapping, parameters, "parameters", 'a table, such as {"R": 0.1}', SurfaceError)
-    for name in parameters:
-        if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
-            raise SurfaceError(f"parameter name {name!r} must be a plain word")
-        if name in (*letters, *FUNCTIONS):
+    numbers: dict[str, float] = {}
+    for given, value in parameters.items():
+        # Python's parser writes a formula's names in this form, such as a micro sign as mu
+        name = unicodedata.normalize("NFKC", given) if isinstance(given, str) else ""
+        if not name.isidentifier() or keyword.iskeyword(name):
+            raise SurfaceError(f"parameter name {given!r} must be a plain word")
+        if name in (*letters, *FUNCTIONS, *numbers):
             raise SurfaceError(
-                f"parameter name {name!r} already has a meaning in formulas; use another"
+                f"parameter name {given!r} already has a meaning in formulas; use another"
             )
-    numbers = {  # Python's parser writes a formula's names in this form, such as a micro sign as mu
-        unicodedata.normalize("NFKC", name): finite_number(value, f"parameters[{name!r}]")
-        for name, value in parameters.items()
-    }
+        numbers[name] = finite_number(value, f"parameters[{given!r}]")
     return dict(sorted(numbers.items()))
 
 
