@@ -33,11 +33,11 @@ static void trace(rays_t *r, double size) {
       const double t = r->t[i], value = r->value[i];
       /* else it would depend on the other rays */
       if (out[i] || t == farthest || step[i] <= SETTLED * t) continue;
-      if (value < 0.0) low[i] = t;
       if (high[i] == HUGE_VAL && !(value > 0.0)) { /* outward, until it is outside */
         r->t[i] = 2.0 * t, going |= r->t[i] < farthest;
         continue;
       }
+      if (value < 0.0) low[i] = t;
       if (value >= 0.0) high[i] = t;
       double trial = t - value / r->slope[i];
       const int inside = trial >= low[i] && trial <= high[i] && isfinite(r->slope[i]);
