@@ -461,5 +461,5 @@ def _into(w: Any, span: tuple[float, float], period: float | None) -> Any:
 def _range(what: str, value: Any) -> tuple[float, ...]:
     span = finite_numbers(value, what, SurfaceError)
     if len(span) != 2 or not span[0] < span[1]:
-        raise SurfaceError(f"{what} = {value!r} must run from a lesser to a greater number")
+        raise SurfaceError(f"{what} = {value!r}: give two numbers, the lesser one first")
     return span
