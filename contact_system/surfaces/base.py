@@ -108,11 +108,13 @@ class Surface:
         name = self.table_name
         return lowered(self) if name is None else builtin(name)
 
-    @kept
+    @property
     def engine_data(self) -> SurfaceData:
         """The engine's ``surface_t``, which points to the tables."""
-        if self.table_name is not None:
-            return SURFACES[self.table_name]
+        return SURFACES[self.table_name] if self.table_name is not None else self._own_data
+
+    @kept
+    def _own_data(self) -> SurfaceData:
         flags, periods = 0 if self.has_implicit else MAY_BE_SINGULAR, self.periods()
         sizes = len(self.numbers), self.double_cover, self.closed_form, flags
         made = SurfaceData(b"", *sizes, *(period or 0.0 for period in periods))
