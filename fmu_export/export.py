@@ -49,7 +49,8 @@ def export_fmu(
         Of what there are inputs: states, ``contact[1].measured.finger.u`` and so on as
         `Plan.states` has them, or the finger's pose and twist relative to the object, of the
         outputs' names. When ``contact[1].measured.trigger`` changes to another number than 0, the
-        contact goes on from there. Co-Simulation only.
+        contact goes on from there. A measurement that leads to no contact discards the step, and
+        is dropped; those of other contacts stand. Co-Simulation only.
     progress : callable, optional
         Called with what is begun, once for each platform and for the file itself.
 
