@@ -38,8 +38,9 @@ COARSE = 1e-8
 """Error of a step, as a fraction of the size, in a search of many paths."""
 NEAR, NEARER = 1e-4, 1e-7
 """Errors before the last, quadratically convergent step in a search of many paths, and of one."""
-STARTS = (128, 1024)
-"""Starts for each number of legs: so many at first, and in all if none of them arrives."""
+STARTS, ROUNDS, LONGER = 128, 8, 1.5
+"""Starts for each number of legs in a round of the search, rounds, and how much longer legs are
+from round to round: on bodies of almost one form the two curves differ only after many turns."""
 CORRECTIONS, DIFFERENCE = 8, 1e-6
 """Most corrections of a path for slip, and the change of unknowns for derivatives, in units."""
 SAMPLES = 201
@@ -180,16 +181,17 @@ class _Search:
             return _Route(z, self.alone(z), self.aim.start_off, np.eye(0)), "it starts at its goal"
         until = time.perf_counter() + seconds
         counts = range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,)
-        for first, last in itertools.pairwise((0, *STARTS)):
-            batches = range(first // LANES, last // LANES)
+        per_round = STARTS // LANES
+        for k in range(ROUNDS):
+            batches = range(k * per_round, (k + 1) * per_round)
             for n, batch in itertools.product(counts, batches):
-                for route in filter(self._stays, self._routes(n, batch)):
+                for route in filter(self._stays, self._routes(n, batch, LONGER**k)):
                     rolls = None if legs else self._four_rolls(route.length)
                     how = f"{n} leg{'s' * (n > 1)}, {(batch + 1) * LANES} starts"
                     return self._shorter(rolls or route, counts, until), how
             if counts[0] < self.aim.fewest or self._alike():
                 break
-        raise SceneError(self._refusal(counts, last))
+        raise SceneError(self._refusal(counts, batches.stop * LANES))
 
     def _four_rolls(self, below: float) -> _Route | None:
         """Hammersley's route of a sphere on a plane, if it is shorter than ``below``, m along s."""
@@ -197,11 +199,11 @@ class _Search:
         route = None if z is None else self._route_near(z)
         return route if route and route.length < below and self._stays(route) else None
 
-    def _routes(self, n: int, batch: int) -> Iterator[_Route]:
-        """Routes of n legs from 16 random starts, the shortest first."""
+    def _routes(self, n: int, batch: int, longer: float = 1.0) -> Iterator[_Route]:
+        """Routes of n legs, longer by a factor, from 16 random starts, the shortest first."""
         aim = self.aim
         z = _starts(n, batch).copy()
-        z[n:] = 0.5 ** (batch % 4) * aim.unit * z[n:] + aim.far / n
+        z[n:] = longer * 0.5 ** (batch % 4) * aim.unit * z[n:] + aim.far / n
         z, off, _ = aim.search(z, min(COARSE, 0.1 * self.near), self.near)
         self.nearest = min(self.nearest, float(off.min()))
         found = sorted(z[:, off < self.near].T, key=_length)
@@ -253,7 +255,7 @@ class _Search:
 
     def _shorter(self, route: _Route, counts: Sequence[int], until: float) -> _Route:
         """The shortest route found until a time: routes from more starts, each one shortened."""
-        best, batch = self._shortened(route, until), STARTS[0] // LANES
+        best, batch = self._shortened(route, until), STARTS // LANES
         while time.perf_counter() < until:
             for route in itertools.chain(*(self._routes(n, batch) for n in counts)):
                 route = self._shortened(route, until)
