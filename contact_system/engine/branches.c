@@ -303,8 +303,7 @@ static void wind_between(const path_t *p, const between_t *w, double x, lanes_t 
 }
 
 /* Points of a path in a chart that covers its surface once: whole turns nearest the nearer anchor.
-   Beside a pole v and theta swing by half a turn: there it is the anchor that is nearer in theta.
- */
+   Beside a pole v and theta swing by half a turn: there the anchor that is nearer in theta. */
 static void wind_once(const path_t *p, const double *x, const double *turns, lanes_t z, int n) {
   const track_t *k = p->track;
   const surface_t *s = p->body->surface;

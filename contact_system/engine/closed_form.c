@@ -40,10 +40,9 @@ static void circle_at(const track_t *k, const body_t *b, const double *phase, in
   for (int j = 0; j < 3; j++) {
     const double x = k->at[j], e = b->size * k->along[j], back = k->at[j] / b->size;
     const double a0 = k->lean[0], off = k->lean[1] * k->across[j];
-  SIMD for (int i = 0; i < L; i++) state[j][i] = x * c[i] + e * s[i];
+    EACH_LANE(i) state[j][i] = x * c[i] + e * s[i];
     if (rows == 3) continue;
-    SIMD for (int i = 0; i < L; i++)
-      state[3 + j][i] = a0 * (k->along[j] * c[i] - back * s[i]) - off;
+    EACH_LANE(i) state[3 + j][i] = a0 * (k->along[j] * c[i] - back * s[i]) - off;
   }
 }
 
@@ -91,7 +90,7 @@ static void line_at(const track_t *k, const body_t *b, const double *tau, int re
   memset(g, 0, sizeof g);
   if (k->panels.n) panels_at(&k->panels, 0, 1, tau, g);
   for (int a = 0; a < 2; a++) {
-    SIMD for (int i = 0; i < L; i++) state[a][i] = k->begin[a] + k->slope[a] * length[i];
+    EACH_LANE(i) state[a][i] = k->begin[a] + k->slope[a] * length[i];
     for (int i = 0; i < L && reduced && k->far; i++) {
       twofold_t at = times(twofold(k->slope[a]), twofold_length(k->drive, tau[i]));
       double turns;
@@ -99,8 +98,7 @@ static void line_at(const track_t *k, const body_t *b, const double *tau, int re
       const int closes = (a ? b->surface->period_v : b->surface->period_u) > 0;
       state[a][i] = closes ? without_turns(at, &turns) : at.high + at.low;
     }
-    SIMD for (int i = 0; i < L; i++)
-      state[a][i] += k->offset[a] * tau[i] - k->aside[a] * g[0][i];
+    EACH_LANE(i) state[a][i] += k->offset[a] * tau[i] - k->aside[a] * g[0][i];
   }
   fill_lanes(state[2], k->begin[2]);
 }

@@ -68,8 +68,8 @@ enum {
 };
 /* a body */
 enum { B_SURFACE, B_NUMBERS /* where they stand */, B_LENGTH, B_BEND, B_REACH, BODY_SIZE };
-/* a window, what it adds in chart components; slots: acceleration of finger, of object, rate offset
- */
+/* a window, what it adds in chart components; slots: acceleration of finger, of object, offset of
+   rates */
 enum { W_SLOT, W_START, W_STOP, W_VALUE, WINDOW_SIZE = W_VALUE + 2 };
 /* a leg, which lasts until the next one begins; a contact has one at least */
 enum {
@@ -189,8 +189,7 @@ typedef struct {
   plan_t *(*plan)(const double *scene, int64_t size, const surface_t *const *surfaces,
                   failure_t *failure);
   void (*drop)(plan_t *plan);
-  /* finds the branches of charts; before the first of STATES, SLIP, ACCELERATION, CARRIED, moments
-   */
+  /* finds the branches of charts, which STATES, SLIP, ACCELERATION, CARRIED and moments need */
   int (*anchor)(plan_t *plan, failure_t *failure);
   /* out[output][contact][row][time], NULL where not asked for */
   int (*evaluate)(const plan_t *plan, int64_t n, const double *t, double *const *out,
@@ -220,8 +219,8 @@ typedef struct {
      numbers are the sign of the side and then the rays' centre; size: how far to look first */
   int (*rays)(const table_t *level, const double *numbers, double size, int64_t n,
               const double *ray, double *t);
-  /* u v u' v' theta in principal values to the branch of its chart that a reference u v theta is on
-   */
+  /* u v u' v' theta in principal values to the branch of its chart on which a reference u v theta
+     lies */
   void (*wind)(const surface_t *surface, const double *reference, double *place);
 } engine_t;
 

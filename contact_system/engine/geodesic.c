@@ -20,25 +20,29 @@ typedef struct {
 static void rates_of(lines_t *g, lanes_t y, lanes_t out) {
   copy_rows(g->rates.r, y, g->rows);
   lanes_t found = run(&g->rates);
-  for (int r = 0; r < g->rows; r++) SIMD for (int i = 0; i < L; i++) out[r][i] = g->length[i] * found[r][i];
+  for (int r = 0; r < g->rows; r++)
+    EACH_LANE(i) out[r][i] = g->length[i] * found[r][i];
 }
 
 /* y + h sum of a_j k_j, or that sum alone; of some rows together, as processors add several numbers
    in the time that one takes */
 enum { TOGETHER = 2 };
-static void combine_stages(const lines_t *g, const double *a, int n, double h, int added, lanes_t out) {
+static void combine_stages(const lines_t *g, const double *a, int n, double h, int added,
+                           lanes_t out) {
   for (int r = 0; r < g->rows; r += TOGETHER) {
     wide_t sum[TOGETHER][PARTS];
-    UNROLL for (int q = 0; q < TOGETHER; q++) UNROLL for (int p = 0; p < PARTS; p++) sum[q][p] = (wide_t){0};
+    UNROLLED(q, TOGETHER)
+      UNROLLED(p, PARTS) sum[q][p] = (wide_t){0};
     for (int j = 0; j < n; j++) {
       if (a[j] == 0.0) continue;
-      UNROLL for (int q = 0; q < TOGETHER; q++) UNROLL for (int p = 0; p < PARTS; p++) sum[q][p] +=
-          a[j] * *(const wide_t *)(g->k[j][r + q] + p * WIDE);
+      UNROLLED(q, TOGETHER)
+        UNROLLED(p, PARTS) sum[q][p] += a[j] * *(const wide_t *)(g->k[j][r + q] + p * WIDE);
     }
-    UNROLL for (int q = 0; q < TOGETHER; q++) UNROLL for (int p = 0; p < PARTS; p++) {
-      const wide_t y = *(const wide_t *)(g->y[r + q] + p * WIDE);
-      *(wide_t *)(out[r + q] + p * WIDE) = added ? y + h * sum[q][p] : h * sum[q][p];
-    }
+    UNROLLED(q, TOGETHER)
+      UNROLLED(p, PARTS) {
+        const wide_t y = *(const wide_t *)(g->y[r + q] + p * WIDE);
+        *(wide_t *)(out[r + q] + p * WIDE) = added ? y + h * sum[q][p] : h * sum[q][p];
+      }
   }
 }
 
@@ -70,7 +74,7 @@ static void try_step(lines_t *g, double h, double *error) {
   combine_stages(g, dop853_error_5, STAGES, h, 0, fifth);
   combine_stages(g, dop853_error_3, STAGES, h, 0, third);
   for (int r = 0; r < g->rows; r++)
-    SIMD for (int i = 0; i < L; i++) {
+    EACH_LANE(i) {
       const double per = 1.0 / (g->unit[r][i] * g->tolerance), x = fifth[r][i] * per,
                    z = third[r][i] * per;
       a[i] += x * x, b[i] += z * z;

@@ -15,7 +15,7 @@ typedef void (*twin_t)(double (*restrict r)[L]);
 static void interpret(const code_t *restrict k, lanes_t r) {
 #define SIMPLE(name, value)                                                                        \
   case OP_##name: {                                                                                \
-    SIMD for (int i = 0; i < L; i++) to[i] = (value);                                              \
+    EACH_LANE(i) to[i] = (value);                                                                  \
     break;                                                                                         \
   }
 #define CALL1(name, function)                                                                      \
@@ -107,18 +107,17 @@ enum { WIDE = 4 };
 enum { WIDE = 2 };
 #endif
 typedef double wide_t __attribute__((vector_size(8 * WIDE), aligned(8), may_alias));
-#define UNROLL _Pragma("GCC unroll 16")
+#define UNROLLED(i, n) _Pragma("GCC unroll 16") for (int i = 0; i < (n); i++)
 enum { PARTS = L / WIDE };
 
-/* gcc would make `rep stos` of a loop and `rep movs` of memcpy(), which are slow for so few numbers
- */
+/* gcc would make `rep stos` of a loop and `rep movs` of memcpy(), slow for so few numbers. */
 static inline void fill_lanes(double *lanes, double value) {
   const wide_t same = value - (wide_t){0};
-  UNROLL for (int p = 0; p < L; p += WIDE) * (wide_t *)(lanes + p) = same;
+  UNROLLED(p, PARTS) *(wide_t *)(lanes + p * WIDE) = same;
 }
 
 static inline void copy_lanes(double *to, const double *from) {
-  UNROLL for (int p = 0; p < L; p += WIDE) * (wide_t *)(to + p) = *(const wide_t *)(from + p);
+  UNROLLED(p, PARTS) *(wide_t *)(to + p * WIDE) = *(const wide_t *)(from + p * WIDE);
 }
 
 /* Some numbers, the last of them in all lanes that are left */

@@ -93,7 +93,7 @@ static int any(const double *d) { return d[0] != 0.0 || d[1] != 0.0; }
 static void to_object(const contact_t *c, lanes_t w1, lanes_t w2) {
   for (int a = 0; a < 2; a++) {
     const double x = c->r0[2 * a], y = c->r0[2 * a + 1];
-  SIMD for (int i = 0; i < L; i++) w2[a][i] = x * w1[0][i] + y * w1[1][i];
+    EACH_LANE(i) w2[a][i] = x * w1[0][i] + y * w1[1][i];
   }
 }
 
@@ -128,13 +128,13 @@ static unit_t *motion_table(work_t *w, const motion_t *m) {
   return table_of(w, m->side, m->ambient, m->ambient ? A_MOTION : C_MOTION, m->body);
 }
 
-/* c = sigma (W - V), and what a rate offset adds, moves the body; accelerations change W_1 and V. V'
-   lacks -lam V, see `sweep`. Returns the rows, those of a table or f; x of a body that no
+/* c = sigma (W - V), and what a rate offset adds, moves the body; accelerations change W_1 and V.
+   V' lacks -lam V, see `sweep`. Returns the rows, those of a table or f; x of a body that no
    acceleration moves stands where its table reads it. */
 static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x, lanes_t f) {
   const double *sigma = at->sigma;
   if (!m->body) {
-    SIMD for (int i = 0; i < L; i++) f[0][i] = sigma[i] * at->decay[i];
+    EACH_LANE(i) f[0][i] = sigma[i] * at->decay[i];
     return f;
   }
   const int n = state_size(m->ambient);
@@ -142,15 +142,16 @@ static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x,
   lanes_t own = x + n, c = u->r + n; /* W_1 of a finger or V of an object under accelerations */
   for (int a = 0; a < 2; a++) {
     if (!m->forced)
-      SIMD for (int i = 0; i < L; i++) c[a][i] = sigma[i] * (m->w[a] - m->v[a] * at->decay[i]);
+      EACH_LANE(i) c[a][i] = sigma[i] * (m->w[a] - m->v[a] * at->decay[i]);
     else if (has_v(m))
-      SIMD for (int i = 0; i < L; i++) c[a][i] = sigma[i] * (at->w2[a][i] - own[a][i]);
+      EACH_LANE(i) c[a][i] = sigma[i] * (at->w2[a][i] - own[a][i]);
     else
-      SIMD for (int i = 0; i < L; i++) c[a][i] = sigma[i] * own[a][i];
+      EACH_LANE(i) c[a][i] = sigma[i] * own[a][i];
   }
   if (any(m->offset)) {
     lanes_t d = to_parallel(w, m->side, m->ambient, m->body, x, m->offset);
-    for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) c[a][i] += d[a][i];
+    for (int a = 0; a < 2; a++)
+      EACH_LANE(i) c[a][i] += d[a][i];
   }
   if (!m->forced) return run(u);
   copy_rows(u->r, x, n);
@@ -176,8 +177,7 @@ static void restore_body(work_t *w, int side, const body_t *b, double *state) {
 
 /* 1/(size of each state): positions count by the body's size, angles and directions by 1. At poles
    coordinates count as a hundredth of those beside; users' charts have units of their own. */
-static void scales(work_t *w, int ambient, const body_t *b, const double *state,
-                   double *scale) {
+static void scales(work_t *w, int ambient, const body_t *b, const double *state, double *scale) {
   if (ambient) {
     for (int j = 0; j < 6; j++) scale[j] = j < 3 ? 1.0 / b->size : 1.0;
     return;
@@ -215,18 +215,18 @@ static double longest(const motion_t *m, double tau, double h, double steepest) 
 }
 
 /* Inverse of I + h/2 Q diag(lam), transposed, by Gauss and Jordan in place. In the nodes' order no
-   pivots are needed: solutions are right to 3e-14 for gains from 1e-3 to 1e14 per panel that vary by
-   10^24 in it, while exchanging rows left 1e-5. */
+   pivots are needed: solutions are right to 3e-14 for gains from 1e-3 to 1e14 per panel that vary
+   by 10^24 in it, while exchanging rows left 1e-5. */
 static void invert_implicit(const double *lam, double half, double (*a)[L]) {
   for (int i = 0; i < L; i++)
     for (int j = 0; j < L; j++) a[i][j] = half * lam[i] * gauss_integral[i][j] + (i == j);
   for (int k = 0; k < L; k++) {
     const double scale = 1.0 / a[k][k];
     double row[L];
-    SIMD for (int j = 0; j < L; j++) row[j] = scale * a[k][j];
+    EACH_LANE(j) row[j] = scale * a[k][j];
     for (int i = 0; i < L; i++) {
       const double t = a[i][k];
-      SIMD for (int j = 0; j < L; j++) a[i][j] -= t * row[j];
+      EACH_LANE(j) a[i][j] -= t * row[j];
       a[i][k] = -t * scale;
     }
     memcpy(a[k], row, sizeof row);
@@ -242,22 +242,22 @@ static void continued(const double *series, int64_t rows, double ratio, double f
   series_at(series, rows, xi, x);
 }
 
-/* One sweep: f at the nodes, then x = start + h/2 Q f (V: the implicit form). Returns the change. The
-   rows of f may move. Inlined, it takes 3 % more time. */
-__attribute__((noinline)) static double sweep(work_t *w, const motion_t *m, double half, const nodes_t *at, lanes_t x,
-                    lanes_t *at_f) {
+/* One sweep: f at the nodes, then x = start + h/2 Q f (V: the implicit form). Returns the change.
+   The rows of f may move. Inlined, it takes 3 % more time. */
+__attribute__((noinline)) static double sweep(work_t *w, const motion_t *m, double half,
+                                              const nodes_t *at, lanes_t x, lanes_t *at_f) {
   double y[MAX_STATES][L], g[L], change = 0.0, none = 0.0;
   const lanes_t f = *at_f = rates(w, m, at, x, *at_f);
   combine(gauss_integral[0], L, m->n, f[0], L, m->state, half, y[0], L);
   for (int64_t s = m->n - 2; s < m->n && has_v(m); s++) {
     combine(at->inverse[0], L, 1, y[s], L, NULL, 1.0, g, L);
-    SIMD for (int i = 0; i < L; i++) y[s][i] = g[i], f[s][i] -= at->lam[i] * g[i];
+    EACH_LANE(i) y[s][i] = g[i], f[s][i] -= at->lam[i] * g[i];
   }
   double worst[L];
   fill_lanes(worst, 0.0);
   for (int64_t s = 0; s < m->n; s++) {
     const double scale = m->scale[s];
-    SIMD for (int i = 0; i < L; i++) {
+    EACH_LANE(i) {
       const double far = fabs(y[s][i] - x[s][i]) * scale;
       worst[i] = far > worst[i] ? far : worst[i];
       x[s][i] = y[s][i];
@@ -285,7 +285,8 @@ static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at
        equations of second order every other sweep changes little. Far from the result a ratio
        below 0.05 is not believed. Of a stiff V the first ratio is not: one sweep mends all of V,
        and the next ones are slower. */
-    const double ratio = fmax(change / last, last < 0.01 ? 0.0 : 0.05), slower = fmax(ratio, before);
+    const double ratio = fmax(change / last, last < 0.01 ? 0.0 : 0.05),
+                 slower = fmax(ratio, before);
     const int tells = slower < 0.3 && (k > 1 || !has_v(m));
     const double next = tells ? change * slower : change;
     if (next <= 3e-2 * m->tolerance || change <= 4e-16) return 1;
@@ -297,11 +298,12 @@ static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at
   return 0;
 }
 
-/* The series of a stiff V from its values. Its integral would lose digits, as pushes and lam V, which
-   cancel, are far larger than V over a panel's length. */
+/* The series of a stiff V from its values. Its integral would lose digits, as pushes and lam V,
+   which cancel, are far larger than V over a panel's length. */
 static void through(const double *start, lanes_t v, double *out) {
   double rise[2][L];
-  for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) rise[a][i] = v[a][i] - start[a];
+  for (int a = 0; a < 2; a++)
+    EACH_LANE(i) rise[a][i] = v[a][i] - start[a];
   combine(gauss_through[0], L, 2, rise[0], L, NULL, 1.0, out, TERMS);
   for (int a = 0; a < 2; a++) {
     out[a * TERMS] += start[a];
@@ -310,8 +312,8 @@ static void through(const double *start, lanes_t v, double *out) {
 }
 
 /* The series of a converged panel and the state at its end; returns the error. */
-static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, lanes_t f, double *out,
-                          double *end) {
+static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, lanes_t f,
+                          double *out, double *end) {
   double error = 0.0, reached[MAX_STATES];
   combine(gauss_series[0], L, m->n, f[0], L, NULL, half, out, TERMS);
   for (int64_t r = 0; r < m->n; r++) {
@@ -345,7 +347,7 @@ static int may_jump(const motion_t *m) {
   return m->ambient ? any(m->offset) || any(m->push) : m->body->surface->flags & MAY_BE_SINGULAR;
 }
 
-/* Whether a panel's series fall like 1/k^2 or 1/k^3: its rates, or their slope, jump between nodes */
+/* Whether a panel's series fall like 1/k^2 or 1/k^3: rates, or their slopes, jump between nodes */
 static int has_kink(const motion_t *m, const double *series) {
   double middle = 0.0, last = 0.0;
   for (int64_t r = 0; r < m->n; r++) {
@@ -382,7 +384,7 @@ static double error_at_ends(work_t *w, const motion_t *m, double tau, double hal
   return (1.0 + gauss_node[0]) * half * jump;
 }
 
-/* The error of a panel that no shorter one is without: rounding of L(tau), whose terms may cancel */
+/* The error that even shorter panels have: rounding of L(tau), whose terms may cancel */
 static double rounding(const motion_t *m, const nodes_t *at, double half, double after) {
   const drive_t *d = m->drive;
   double terms = 0.0, most = 0.0;
@@ -407,8 +409,8 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
   fill_nodes(w, m, t, &at);
   at.allowed = fmax(m->tolerance, rounding(m, &at, half, after));
   if (has_v(m)) invert_implicit(at.lam, half, at.inverse);
-  /* sweeps start from the last panel's series (28 % fewer of them), or from that of the longer panel
-     that was refused */
+  /* sweeps start from the last panel's series (28 % fewer of them), or from that of the longer
+     panel that was refused */
   if (s->before && span <= (s->begins ? 1.0 : 2.0) * s->span)
     continued(s->before, m->n, span / s->span, s->begins ? -1.0 : 1.0, x);
   else
@@ -478,8 +480,7 @@ static void integrate(work_t *w, motion_t *m, double tolerance) {
   w->edges[0] = 0.0;
   while (s.tau < m->length) {
     /* a layer at the start may be as thin as it likes */
-    if (++tries > 40 * (count + 25) || !(s.h > 1e-15 * s.tau))
-      fail_motion(w, m, &s, STUCK, count);
+    if (++tries > 40 * (count + 25) || !(s.h > 1e-15 * s.tau)) fail_motion(w, m, &s, STUCK, count);
     if ((double)++w->spent > budget) fail_motion(w, m, &s, TOO_MANY_PANELS, count);
     if (count && count % MANY == 0 && s.tau > mark) {
       if (MANY * (m->length - s.tau) > (budget - (double)w->spent) * (s.tau - mark))
@@ -491,7 +492,8 @@ static void integrate(work_t *w, motion_t *m, double tolerance) {
     if (before >= 0) s.before = w->series + before;
     if (!panel(w, m, &s, w->series + count * m->n * TERMS)) continue;
     w->edges[++count] = s.tau;
-    if (m->finish > 0 && s.tau < m->length && m->slip * decay_at(m->drive, s.tau) <= m->finish) break;
+    if (m->finish > 0 && s.tau < m->length && m->slip * decay_at(m->drive, s.tau) <= m->finish)
+      break;
   }
   m->reached = s.tau;
   m->panels = (panels_t){count, m->n, w->edges, w->series};

@@ -72,7 +72,8 @@ static void sample_paths(const contact_t *c, sample_t *m) {
   path_velocity(s->v_panels, s->v, tau, m->v);
   if (s->v_panels || !any(s->v)) return;
   decays(d, tau, m->sigma, decay);
-  for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) m->v[a][i] *= decay[i];
+  for (int a = 0; a < 2; a++)
+    EACH_LANE(i) m->v[a][i] *= decay[i];
 }
 
 /* Of the body's size, so near to a pole or an umbilic rounding leaves no direction of the frame. */
@@ -92,7 +93,7 @@ static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, co
     wind_all(&p, x, turns, a->coordinates, n);
     const lanes_t z = a->coordinates, v = a->velocity;
     const double lost = LOST * LOST * b->size * b->size;
-    SIMD for (int i = 0; i < L; i++) {
+    EACH_LANE(i) {
       const double rate = z[DU][i] * z[DU][i] + z[DV][i] * z[DV][i];
       const double none = lost * rate > v[0][i] * v[0][i] + v[1][i] * v[1][i] ? NAN : 0.0;
       z[V][i] += none, z[THETA][i] += none;
@@ -148,7 +149,7 @@ static void sample_body(work_t *w, const contact_t *c, int s, sample_t *m, int n
 static void sample_slip(sample_t *m) {
   const side_t *o = &m->side[1];
   for (int a = 0; a < 2; a++) {
-    SIMD for (int i = 0; i < L; i++) m->sliding[a][i] = m->sigma[i] * m->v[a][i];
+    EACH_LANE(i) m->sliding[a][i] = m->sigma[i] * m->v[a][i];
     if (any(o->track->offset))
       for (int i = 0; i < L; i++) m->sliding[a][i] -= o->offset[a][i];
   }
@@ -156,7 +157,8 @@ static void sample_slip(sample_t *m) {
 
 static int all_zero(lanes_t y) {
   double sum = 0.0;
-  for (int a = 0; a < 2; a++) for (int i = 0; i < L; i++) sum += y[a][i] != 0.0;
+  for (int a = 0; a < 2; a++)
+    for (int i = 0; i < L; i++) sum += y[a][i] != 0.0;
   return sum == 0.0;
 }
 
@@ -198,8 +200,8 @@ static void fill_pair(unit_t *u, const sample_t *m) {
 
 /* ---- writing ---- */
 
-static const int OUTPUT_ROWS[N_OUTPUTS] = {[STATES] = 9, [POINTS] = 6, [SLIP] = 2,
-                                           [SLIP_SPEED] = 1, [TWIST] = 6, [POSE] = 16,
+static const int OUTPUT_ROWS[N_OUTPUTS] = {[STATES] = 9,       [POINTS] = 6,  [SLIP] = 2,
+                                           [SLIP_SPEED] = 1,   [TWIST] = 6,   [POSE] = 16,
                                            [ACCELERATION] = 2, [CARRIED] = 6, [FRAMES] = 24};
 
 /* where the results of a block go: out[row][n_times], `count` of them from `first` on */
@@ -316,8 +318,8 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t
     while (k + 1 < (n) && (items)[k + 1].drive->start <= (t)) k++;                                 \
   } while (0)
 
-/* What stands at times without a frame, at a pole or an umbilic, is not finite. The first of them is
-   told; the other contacts are evaluated all the same. */
+/* What stands at times without a frame, at a pole or an umbilic, is not finite. The first of them
+   is told; the other contacts are evaluated all the same. */
 static void tell_singular(work_t *w, const contact_t *c, int64_t n, const double *t,
                           double *const *out) {
   static const int asked[] = {STATES, SLIP, ACCELERATION, CARRIED};
@@ -397,7 +399,8 @@ static int place_on_track(work_t *w, const contact_t *c, int side, const track_t
 static void anchor_side(work_t *w, contact_t *c, int side, int64_t n) {
   double place[3];
   int64_t known = 0;
-  while (known < n && (!c->tracks[side][known].ambient || c->tracks[side][known].n_anchors)) known++;
+  while (known < n && (!c->tracks[side][known].ambient || c->tracks[side][known].n_anchors))
+    known++;
   if (known == n) return;
   memcpy(place, c->place[side], sizeof place);
   for (int64_t i = 0; i < n; i++) {
@@ -410,7 +413,7 @@ static void anchor_side(work_t *w, contact_t *c, int side, int64_t n) {
   }
 }
 
-/* u v theta at the end of a track, or of an earlier time; where there are none, of a moment beside */
+/* u v theta at the end of a track, or at an earlier time; where there are none, a moment beside */
 static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t, double *place) {
   anchor_side(w, c, side, which + 1);
   const track_t *k = c->tracks[side] + which;

@@ -12,7 +12,8 @@ typedef struct {
 
 static void look_along(rays_t *r) {
   lanes_t in = r->level.r;
-  for (int j = 0; j < 3; j++) SIMD for (int i = 0; i < L; i++) in[j][i] = r->centre[j] + r->t[i] * r->ray[j][i];
+  for (int j = 0; j < 3; j++)
+    EACH_LANE(i) in[j][i] = r->centre[j] + r->t[i] * r->ray[j][i];
   copy_rows(in + 3, r->ray, 3);
   lanes_t found = run(&r->level);
   copy_lanes(r->value, found[0]), copy_lanes(r->slope, found[1]);
@@ -26,7 +27,8 @@ static void trace(rays_t *r, double size) {
   int out[L], going = 1;
   fill_lanes(r->t, 0.0), look_along(r);
   for (int i = 0; i < L; i++) out[i] = !(r->value[i] < 0.0);
-  fill_lanes(r->t, size), fill_lanes(low, 0.0), fill_lanes(high, HUGE_VAL), fill_lanes(step, HUGE_VAL);
+  fill_lanes(r->t, size), fill_lanes(low, 0.0), fill_lanes(high, HUGE_VAL),
+      fill_lanes(step, HUGE_VAL);
   for (int k = 0; k < MOST_TRIALS && going; k++) {
     look_along(r), going = 0;
     for (int i = 0; i < L; i++) {
@@ -47,8 +49,10 @@ static void trace(rays_t *r, double size) {
     }
   }
   for (int i = 0; i < L; i++)
-    if (out[i] || r->t[i] == farthest) r->t[i] = out[i] ? 0.0 : HUGE_VAL;
-    else if (!(step[i] <= SETTLED * r->t[i])) r->t[i] = NAN;
+    if (out[i] || r->t[i] == farthest)
+      r->t[i] = out[i] ? 0.0 : HUGE_VAL;
+    else if (!(step[i] <= SETTLED * r->t[i]))
+      r->t[i] = NAN;
 }
 
 static int rays(const table_t *level, const double *numbers, double size, int64_t n,

@@ -37,8 +37,9 @@ typedef struct {
 
 static void add_row(equations_t *e, int n, double (*slope)[L], const double *off) {
   for (int i = 0; i < n; i++) {
-  SIMD for (int l = 0; l < L; l++) e->pull[i][l] += slope[i][l] * off[l];
-    for (int j = 0; j <= i; j++) SIMD for (int l = 0; l < L; l++) e->square[i][j][l] += slope[i][l] * slope[j][l];
+    EACH_LANE(l) e->pull[i][l] += slope[i][l] * off[l];
+    for (int j = 0; j <= i; j++)
+      EACH_LANE(l) e->square[i][j][l] += slope[i][l] * slope[j][l];
   }
 }
 
@@ -46,7 +47,7 @@ static void add_row(equations_t *e, int n, double (*slope)[L], const double *off
 
 static void turn_rows(double (*x)[L], double (*y)[L], int n, const double *c, const double *s) {
   for (int i = 0; i < n; i++)
-    SIMD for (int l = 0; l < L; l++) {
+    EACH_LANE(l) {
       const double ahead = c[l] * x[i][l] + s[l] * y[i][l];
       y[i][l] = c[l] * y[i][l] - s[l] * x[i][l], x[i][l] = ahead;
     }
@@ -60,7 +61,8 @@ static void turn_path(rolled_t *r, int n, const double *turn) {
   turn_rows(r->ahead, r->aside, n, c, s);
   const geodesic_t *how = r->body->how;
   if (how && how->restore) memcpy(r->lines.y + 3, r->at + 3, 3 * sizeof *r->at);
-  if (how && !how->restore) for (int l = 0; l < L; l++) r->lines.y[2][l] += turn[l];
+  if (how && !how->restore)
+    for (int l = 0; l < L; l++) r->lines.y[2][l] += turn[l];
 }
 
 /* Along p, a part of a leg */
@@ -78,10 +80,10 @@ static void advance(rolled_t *r, const double *length) {
   }
   const double k = body->gauss, root = sqrt(k);
   double half[L], s[L], c[L];
-  SIMD for (int l = 0; l < L; l++) half[l] = 0.5 * root * length[l];
+  EACH_LANE(l) half[l] = 0.5 * root * length[l];
   lanes_sincos(half, s, c);
-  double(*f)[L] = r->at + 9;
-  SIMD for (int l = 0; l < L; l++) {
+  double (*f)[L] = r->at + 9;
+  EACH_LANE(l) {
     const double rise = k > 0 ? s[l] / root : 0.5 * length[l], drop = 2.0 * rise * rise;
     const double j = k > 0 ? 2.0 * rise * c[l] : length[l];
     for (int i = 0; i < 3; i++) {
@@ -95,9 +97,9 @@ static void advance(rolled_t *r, const double *length) {
 
 /* A part of a leg carries the moves before it along. */
 static void carry(rolled_t *r, int n) {
-  double(*f)[L] = r->at + 9;
+  double (*f)[L] = r->at + 9;
   for (int i = 0; i < n; i++)
-    SIMD for (int l = 0; l < L; l++) {
+    EACH_LANE(l) {
       const double aside = r->aside[i][l], turn = r->turns[i][l];
       r->aside[i][l] = f[2][l] * aside + f[0][l] * turn;
       r->turns[i][l] = f[3][l] * aside + f[1][l] * turn;
@@ -108,7 +110,7 @@ static void stay_within(const rolled_t *r, equations_t *e, int n) {
   const double *centre = r->body->within, radius = r->body->within[3];
   double off[L], ahead[L], aside[L];
   by_unknown_t slope;
-  SIMD for (int l = 0; l < L; l++) {
+  EACH_LANE(l) {
     double away = 0.0, along = 0.0, across = 0.0;
     for (int i = 0; i < 3; i++) {
       const double d = r->at[i][l] - centre[i];
@@ -119,7 +121,8 @@ static void stay_within(const rolled_t *r, equations_t *e, int n) {
     off[l] = away > radius ? away / radius - 1.0 : 0.0;
     ahead[l] = part * along, aside[l] = part * across, e->size[l] += off[l] * off[l];
   }
-  for (int i = 0; i < n; i++) SIMD for (int l = 0; l < L; l++) slope[i][l] = ahead[l] * r->ahead[i][l] + aside[l] * r->aside[i][l];
+  for (int i = 0; i < n; i++)
+    EACH_LANE(l) slope[i][l] = ahead[l] * r->ahead[i][l] + aside[l] * r->aside[i][l];
   add_row(e, n, slope, off);
 }
 
@@ -167,7 +170,7 @@ static void arrive_at_place(search_t *w, int side) {
   const double unit = 1.0 / w->aim->size;
   by_unknown_t slope;
   double off[3][L];
-  SIMD for (int l = 0; l < L; l++) {
+  EACH_LANE(l) {
     double d[3], n2 = 0.0, y[2] = {0.0, 0.0};
     for (int i = 0; i < 3; i++) {
       d[i] = unit * (r->at[i][l] - body->goal[i]), n2 += d[i] * d[i];
@@ -176,8 +179,9 @@ static void arrive_at_place(search_t *w, int side) {
     off[0][l] = y[0], off[1][l] = y[1], w->now.size[l] += n2;
   }
   for (int row = 0; row < 2; row++) {
-    const double(*moves)[L] = row ? r->aside : r->ahead;
-    for (int i = 0; i < w->unknowns; i++) SIMD for (int l = 0; l < L; l++) slope[i][l] = unit * moves[i][l];
+    const double (*moves)[L] = row ? r->aside : r->ahead;
+    for (int i = 0; i < w->unknowns; i++)
+      EACH_LANE(l) slope[i][l] = unit * moves[i][l];
     add_row(&w->now, w->unknowns, slope, off[row]);
   }
 }
@@ -185,25 +189,26 @@ static void arrive_at_place(search_t *w, int side) {
 /* How the normal tilts along p and q with each unknown */
 static void tilt(rolled_t *r, int n, double (*ahead)[L], double (*aside)[L]) {
   double flat[3][L];
-  double(*form)[L] = flat;
+  double (*form)[L] = flat;
   if (r->body->how) {
     memcpy(r->shape.r, r->lines.y, (size_t)r->lines.state * sizeof *r->lines.y);
     form = run(&r->shape);
   } else
     for (int i = 0; i < 3; i++) fill_lanes(flat[i], i == 1 ? 0.0 : r->body->bend);
   for (int i = 0; i < n; i++)
-    SIMD for (int l = 0; l < L; l++) {
+    EACH_LANE(l) {
       ahead[i][l] = form[0][l] * r->ahead[i][l] + form[1][l] * r->aside[i][l];
       aside[i][l] = form[1][l] * r->ahead[i][l] + form[2][l] * r->aside[i][l];
     }
 }
 
-/* How far off the goal's pose the end is, rotation and origin, told in the frames F = [p q n] there:
-   the finger's rotation is F_2 diag(1, -1, -1) F_1^T. from: the finger's point from its origin. */
+/* How far off the goal's pose the end is, rotation and origin, told in the frames F = [p q n]
+   there: the finger's rotation is F_2 diag(1, -1, -1) F_1^T. from: the finger's point from its
+   origin. */
 static void pose_off(search_t *w, double unit, double (*off)[L], double (*from)[L]) {
   const steer_t *aim = w->aim;
   const rolled_t *one = w->rolled, *other = w->rolled + 1;
-  SIMD for (int l = 0; l < L; l++) {
+  EACH_LANE(l) {
     double f[2][3][3], c[3][3], n2 = 0.0;
     for (int s = 0; s < 2; s++) {
       for (int i = 0; i < 3; i++)
@@ -245,7 +250,7 @@ static void arrive_in_pose(search_t *w) {
   pose_off(w, unit, off, from);
   by_unknown_t spin[3]; /* of the finger about the frame's axes, against what is carried */
   for (int i = 0; i < n; i++)
-    SIMD for (int l = 0; l < L; l++) {
+    EACH_LANE(l) {
       spin[0][i][l] = one->turns[i][l] + other->turns[i][l];
       spin[1][i][l] = ahead[0][i][l] + ahead[1][i][l];
       spin[2][i][l] = aside[1][i][l] - aside[0][i][l];
@@ -257,7 +262,7 @@ static void arrive_in_pose(search_t *w) {
   }
   for (int row = 0; row < 3 && is_pose; row++) {
     for (int i = 0; i < n; i++)
-      SIMD for (int l = 0; l < L; l++) {
+      EACH_LANE(l) {
         const double mu = spin[0][i][l], e0 = spin[1][i][l], e1 = spin[2][i][l];
         const double turned = row == 0   ? mu * from[1][l] - e0 * from[2][l]
                               : row == 1 ? mu * from[0][l] - e1 * from[2][l]
@@ -364,9 +369,10 @@ static void search(search_t *w, int64_t count, double (*z)[L]) {
   }
 }
 
-/* Improves directions and lengths z[2 n][L] of `count` trials until some end at the goal, as near as
-   is asked for; these take a last step then, unless it is a long one. Before that step: how far off they end; the squares of
-   the equations' slopes, [2 n][2 n][L]. Returns how many arrive, or -1 without memory. */
+/* Improves directions and lengths z[2 n][L] of `count` trials until some end at the goal, as near
+   as is asked for; these take a last step then, unless it is a long one. Before that step: how far
+   off they end; the squares of the equations' slopes, [2 n][2 n][L]. Returns how many arrive, or -1
+   without memory. */
 static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z)[L], double *off,
                      double *squares) {
   const int n = 2 * (int)legs;

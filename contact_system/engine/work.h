@@ -150,7 +150,8 @@ static inline double slope_of(const double *c, int64_t n, double x) {
 
 static inline void horners(const double *c, int64_t n, const double *x, double *restrict y) {
   for (int i = 0; i < L; i++) y[i] = c[n - 1];
-  for (int64_t k = n - 2; k >= 0; k--) SIMD for (int i = 0; i < L; i++) y[i] = y[i] * x[i] + c[k];
+  for (int64_t k = n - 2; k >= 0; k--)
+    EACH_LANE(i) y[i] = y[i] * x[i] + c[k];
 }
 
 static inline double sigma_at(const drive_t *d, double tau) {
@@ -174,7 +175,7 @@ static inline double gain_at(const drive_t *d, double tau) {
 static void decays(const drive_t *d, const double *tau, const double *sigma, double *out) {
   double lost[L];
   horners(d->exponent, d->n_exponent, tau, lost);
-  SIMD for (int i = 0; i < L; i++) out[i] = v_exp(-lost[i]);
+  EACH_LANE(i) out[i] = v_exp(-lost[i]);
   if (d->grows)
     for (int i = 0; i < L; i++)
       if (tau[i] > 0) out[i] *= d->sigma[0] / sigma[i];
@@ -193,15 +194,17 @@ static double decay_at(const drive_t *d, double tau) {
 INLINE void combine_some(const double *q, int64_t terms, int rows, const double *f, int64_t f_row,
                          const double *start, double half, double *y, int64_t y_row) {
   wide_t sum[2][PARTS];
-  UNROLL for (int r = 0; r < rows; r++) UNROLL for (int p = 0; p < PARTS; p++) sum[r][p] = (wide_t){0};
+  UNROLLED(r, rows)
+    UNROLLED(p, PARTS) sum[r][p] = (wide_t){0};
   for (int64_t j = 0; j < terms; j++) {
-    UNROLL for (int p = 0; p < PARTS; p++) {
+    UNROLLED(p, PARTS) {
       const wide_t part = *(const wide_t *)(q + j * L + p * WIDE);
-      UNROLL for (int r = 0; r < rows; r++) sum[r][p] += f[r * f_row + j] * part;
+      UNROLLED(r, rows) sum[r][p] += f[r * f_row + j] * part;
     }
   }
-  UNROLL for (int r = 0; r < rows; r++) UNROLL for (int p = 0; p < PARTS; p++)
-    *(wide_t *)(y + r * y_row + p * WIDE) = (start ? start[r] : 0.0) + half * sum[r][p];
+  UNROLLED(r, rows)
+    UNROLLED(p, PARTS)
+      *(wide_t *)(y + r * y_row + p * WIDE) = (start ? start[r] : 0.0) + half * sum[r][p];
 }
 
 /* y[r] = start[r] + half sum_j f[r][j] q[j], q[terms][L]; start may be NULL. By pairs of rows, for
@@ -219,7 +222,8 @@ static void combine(const double *q, int64_t terms, int64_t rows, const double *
 static void series_at(const double *c, int64_t rows, const double *xi, lanes_t y) {
   double t[TERMS][L]; /* Chebyshev polynomials */
   for (int i = 0; i < L; i++) t[0][i] = 1.0, t[1][i] = xi[i];
-  for (int k = 2; k < TERMS; k++) SIMD for (int i = 0; i < L; i++) t[k][i] = 2.0 * xi[i] * t[k - 1][i] - t[k - 2][i];
+  for (int k = 2; k < TERMS; k++)
+    EACH_LANE(i) t[k][i] = 2.0 * xi[i] * t[k - 1][i] - t[k - 2][i];
   combine(t[0], TERMS, rows, c, TERMS, NULL, 1.0, y[0], L);
 }
 

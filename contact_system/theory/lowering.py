@@ -324,7 +324,7 @@ class Table:
             held[to] = f"t{len(lines) - 1}"
         lines += [f"r[{to}][i] = {held[to]};" for to in results]
         loop = "".join(f"    {line}\n" for line in lines)
-        return f"  SIMD\n  for (int i = 0; i < L; i++) {{\n{loop}  }}\n"
+        return f"  EACH_LANE(i) {{\n{loop}  }}\n"
 
 
 def _words(steps: list[Step]) -> np.ndarray:
