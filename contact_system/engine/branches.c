@@ -2,9 +2,9 @@
 
    Coordinates of a point in space are principal values. Where a chart has periods the nearest turn
    continues them; where it covers its surface twice (triaxial ellipsoids), the cover changes where
-   the path crosses the seam cos v = 0, and there alone: which neighbours do not tell beside
-   umbilics. Places whose branch is known, anchors, lie so close that between two of them
-   coordinates move by less than half a period. */
+   the path crosses the seam cos v = 0, and only there; beside umbilics neighbouring points do not
+   show whether it does. Anchors are places whose branch is known; they lie so close that between
+   two of them coordinates move by less than half a period. */
 
 enum { U, V, DU, DV, THETA, N_COORDINATES };
 enum { PANEL_ANCHORS = 4, CIRCLE_ANCHORS = 16 }; /* a panel, a revolution */
@@ -52,7 +52,7 @@ static inline int beyond(double u, double v) {
   return is_odd(floor(2.0 * u / TURN)) ^ second_cover(v);
 }
 
-/* y, whose sign says that; it is the same on both covers */
+/* y = sin u cos v, whose sign is what `beyond` tells; it is the same on both covers */
 static inline double side_of(double u, double v) { return sin(u) * cos(v); }
 
 /* Whether a point is on cos v = 0 or sin u = 0 but for rounding: signs tell nothing there. */
@@ -61,8 +61,8 @@ static inline int on_seam(double u, double v) {
   return fabs(a - rint(a)) < 1e-12 || fabs(b - rint(b)) < 1e-12;
 }
 
-/* One point to (-u, pi - v), where the axes are turned by pi, or not, and whole turns nearest its
-   reference u v theta */
+/* Moves one point by whole turns to where it is nearest to its reference u v theta; a turned one is
+   moved to (-u, pi - v) before, where the chart's axes are turned by pi. */
 static inline void wind_to(const surface_t *s, int turned, const double *ref, lanes_t z, int i) {
   const double half = turned ? 0.5 * TURN : 0.0, sign = turned ? -1.0 : 1.0;
   z[U][i] = wound(sign * z[U][i], ref[0], s->period_u);

@@ -5,16 +5,16 @@
    quadric (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.7). The last
    states may carry the term -lam, which is solved implicitly. */
 
-static const double COARSE = 1e-6;   /* tolerance beyond which tails tell nothing of errors */
-static const double TAIL = 3.6;      /* times a series' last coefficient is taken for its error */
-static const double KINKED = 30.0;   /* times more where a series has a kink; 27 where rates jump */
-static const double STEEPEST = 20.0; /* fall of ln(decay) in a panel; 30 takes 3 % more sweeps */
+static const double COARSE = 1e-6; /* coarser tolerances count as this: tails tell nothing there */
+static const double TAIL = 3.6;    /* error over a series' last coefficient */
+static const double KINKED = 30.0; /* the error is so much greater at a kink; 27 where rates jump */
+static const double STEEPEST = 20.0; /* most that ln(decay) falls in a panel; 30: 3 % more sweeps */
 static const double FALL = 4.5;      /* the same in a first panel at a tolerance of 1e-12 */
 enum { SWEEPS = 40 };
 enum { MANY = 4096 }; /* panels from one look at how many more it will take to the next */
 
-/* One body on its way, or without a body the integral that slip costs. Where accelerations act the
-   body's state is followed by W_1 of the finger, or by V of the object. */
+/* The motion of one body, or without a body int sigma decay. Where accelerations act, the body's
+   state is followed by W_1 of the finger, or by V of the object. */
 typedef struct {
   int64_t n;
   const drive_t *drive;
@@ -129,8 +129,8 @@ static unit_t *motion_table(work_t *w, const motion_t *m) {
 }
 
 /* c = sigma (W - V), and what a rate offset adds, moves the body; accelerations change W_1 and V.
-   V' lacks -lam V, see `sweep`. Returns the rows, those of a table or f; x of a body that no
-   acceleration moves stands where its table reads it. */
+   V' lacks -lam V, see `sweep`. Returns the rows of the result, the table's own or f. Where no
+   acceleration acts, x has to be the table's input registers. */
 static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x, lanes_t f) {
   const double *sigma = at->sigma;
   if (!m->body) {
@@ -191,8 +191,9 @@ static void scales(work_t *w, int ambient, const body_t *b, const double *state,
 
 /* ---- panels ---- */
 
-/* where an integration stands: the next panel from tau, of length h at most; a series of `span` to
-   start from, or NULL: it ends at tau (the last panel) or begins there (a refused one) */
+/* Where an integration stands: the next panel begins at tau and has length h at most. before: the
+   series of a panel of length span to start from, or NULL; begins: that panel begins at tau, as it
+   was refused, else it ends there, as the last one. */
 typedef struct {
   double tau, h, span;
   const double *before;

@@ -76,7 +76,8 @@ static void sample_paths(const contact_t *c, sample_t *m) {
     EACH_LANE(i) m->v[a][i] *= decay[i];
 }
 
-/* Of the body's size, so near to a pole or an umbilic rounding leaves no direction of the frame. */
+/* Nearer to a pole or an umbilic than this part of the body's size, rounding leaves the frame
+   without a direction. */
 static const double LOST = 1e-12;
 
 static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, const double *x,

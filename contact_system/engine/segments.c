@@ -6,13 +6,15 @@
      while there is.
    * Only a contact under an acceleration is integrated with its forcing. */
 
-/* Along a first panel's path at a tolerance of 1e-12, in means of the body's least radius and its
-   size; in least radii crowds on ellipsoids took a fifth more panels */
+/* Length of a first panel's path at a tolerance of 1e-12, as a part of the geometric mean of the
+   body's least radius and its size. With a part of the least radius alone, many contacts on
+   ellipsoids took a fifth more panels. */
 static const double FIRST = 0.65;
-/* Slip whose whole remaining displacement is below this part of tolerance * size is let go. */
+/* Slip is ignored once all the displacement that it can still cause is below this part of
+   tolerance * size; on developable surfaces, where it costs little, below ROUNDING * size. */
 static const double NEGLIGIBLE_PART = 0.01;
-static const double ROUNDING = 1e-17; /* the same of what no tolerance asks for */
-/* Path, in sizes of a body, after which rounding leaves less than four digits of its position */
+static const double ROUNDING = 1e-17;
+/* Length of a path, in sizes of a body, after which rounding leaves fewer than four digits */
 static const double ENDLESS = 1e11;
 
 /* a contact on its way through its segments */
@@ -48,7 +50,8 @@ static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, 
 static void track_state(const body_t *b, const track_t *k, double t, double *state);
 static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t, double *place);
 
-/* A body at a time on a track, in space if it moves there where nothing disturbs it */
+/* The state of a body at a time on a track: (x, p) for a body that moves in space unless disturbed,
+   whatever the track's own form is */
 static void usual_state(work_t *w, int side, const body_t *b, const track_t *k, double t,
                         double *state) {
   track_state(b, k, t, state);
@@ -105,7 +108,7 @@ static track_t *add_motion(course_t *c, motion_t *m, double stop, int reason) {
   return k;
 }
 
-/* What moves an object that nothing accelerates */
+/* What `plan.explain` says of an object that nothing accelerates */
 static int reason_of(const course_t *c, const double *offset) {
   if (any(offset)) return any(c->v) ? OFFSET_AND_SLIP : OFFSET;
   return any(c->v) ? SLIPS : NO_SLIP;
@@ -117,7 +120,7 @@ static double first_length(const body_t *b) { return FIRST * sqrt(b->bend * b->s
 
 static void geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
   const body_t *b = &c->c->body[side];
-  /* that rolling follows the object's curve as a geodesic is to come out, not to be put in */
+  /* with imposed rolling, that the finger's curve is a geodesic is a result, not an assumption */
   const int closed = c->follows && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
   if (closed != NO_CLOSED_FORM) {
     double state[6];
@@ -128,7 +131,7 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
   }
   motion_t m = motion_of(c, side, drive, 0);
   const double speed = norm(m.w);
-  /* where sigma touches zero at a window's edge an interval may be rounding long */
+  /* where sigma touches zero at a window's edge, an interval may be as short as rounding */
   m.by_length = 1, m.length = fmax(length_at(drive, stop - drive->start), 1e-300);
   m.first = speed > 0 ? fmin(first_length(b) / speed, 4.0 * m.length) : 4.0 * m.length;
   add_motion(c, &m, stop, reason);

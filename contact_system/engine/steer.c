@@ -5,10 +5,11 @@
    the end moves with each unknown: directions and lengths of the legs. */
 
 enum { MOST_LEGS = 4, UNKNOWNS = 2 * MOST_LEGS };
-/* trials; of these until one that creeps is given up; routes */
+/* steps of Newton's method; steps after which a path that hardly improves is given up; paths that
+   arrive, after which the search ends */
 enum { MOST_TRIES = 40, PATIENCE = 6, ENOUGH = 2 };
 
-/* slopes, or moves, by each unknown */
+/* derivatives by each unknown */
 typedef double by_unknown_t[UNKNOWNS][L];
 
 /* the path on one body */
@@ -300,7 +301,7 @@ static void try_paths(search_t *w) {
 
 /* ---- Newton's method, with Levenberg's damping ---- */
 
-static const double NO_DAMPING = 1e-12; /* but of what no row sees */
+static const double NO_DAMPING = 1e-12; /* but for unknowns on which no equation depends */
 
 /* The step of a lane, by Cholesky's method */
 static void solve(const equations_t *e, int n, int l, double damping, double *x) {
@@ -352,7 +353,7 @@ static void search(search_t *w, int64_t count, double (*z)[L]) {
       const double off = w->best.size[l];
       const int met = off < aim->reached * aim->reached;
       int stop = met || off == HUGE_VAL;
-      if (step % PATIENCE == PATIENCE - 1) { /* what only creeps is given up */
+      if (step % PATIENCE == PATIENCE - 1) { /* hardly better than at the last look */
         stop |= off > 0.25 * mark[l] * mark[l];
         mark[l] = sqrt(off);
       }
@@ -369,10 +370,10 @@ static void search(search_t *w, int64_t count, double (*z)[L]) {
   }
 }
 
-/* Improves directions and lengths z[2 n][L] of `count` trials until some end at the goal, as near
-   as is asked for; these take a last step then, unless it is a long one. Before that step: how far
-   off they end; the squares of the equations' slopes, [2 n][2 n][L]. Returns how many arrive, or -1
-   without memory. */
+/* Improves directions and lengths z[2 n][L] of `count` trials until some end as near to the goal as
+   is asked for; these take a last step then, unless it is a long one. off and squares are those
+   before that step: how far from the goal paths end, and slopes^T slopes of the equations,
+   [2 n][2 n][L]. Returns how many arrive, or -1 without memory. */
 static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z)[L], double *off,
                      double *squares) {
   const int n = 2 * (int)legs;
