@@ -179,6 +179,8 @@ class Gain:
 
 # --- contraction of slip -----------------------------------------------------------------------
 
+CHANGE = 100.0  # ratio of sigma at the ends of an expansion; its cube loses six digits
+
 
 @dataclass(frozen=True)
 class Contraction:
@@ -274,7 +276,7 @@ def _least_gain(profile: Profile, law: Law, duration: float) -> float:
 def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[float, float], ...]:
     """Intervals on which sigma' - lam sigma < 0."""
     intervals: list[tuple[float, float]] = []
-    knots = profile.knots(0.0, duration)
+    knots = _spread(profile, profile.knots(0.0, duration))
     for start, stop in zip(knots, knots[1:]):
         # expanded about its middle, where cancellation is least
         middle = 0.5 * (start + stop)
@@ -290,6 +292,20 @@ def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[flo
                     a = intervals.pop()[0]
                 intervals.append((a, b))
     return tuple(intervals)
+
+
+def _spread(profile: Profile, knots: Sequence[float]) -> list[float]:
+    """The knots, and more where sigma changes much from one to the next.
+
+    One expansion of sigma^3 would cancel where sigma is far below its greatest value there.
+    """
+    pieces, shortest = [*zip(knots, knots[1:])], 1e-3 * (knots[-1] - knots[0])
+    for start, stop in pieces:  # halves are appended, and looked at too
+        low, high = sorted((profile(start), profile(stop)))
+        if high > CHANGE * low and stop - start > shortest:
+            middle = 0.5 * (start + stop)
+            pieces += [(start, middle), (middle, stop)]
+    return sorted({t for piece in pieces for t in piece})
 
 
 def _slip_factors(
