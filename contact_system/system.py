@@ -304,7 +304,17 @@ class SceneSystem:
         """x and held of contacts that start at time t: (n_x,), (n_held,).
 
         starts : of Start, or, in frame coordinates, a plan's :meth:`Plan.moments`
+
+        Raises
+        ------
+        SceneError
+            Moments in chart coordinates.
         """
+        if self.coordinates == "chart" and any(isinstance(start, Moment) for start in starts):
+            raise SceneError(
+                f"{self.scene.title}: moments of a plan place contacts in frames; give "
+                'coordinates="frame", or from_states(t, plan.states(t))'
+            )
         x, held = list[float](), list[float]()
         for i, (contact, form, start) in enumerate(zip(self.scene.contacts, self.forms, starts)):
             leg = self.leg_numbers(i, t)

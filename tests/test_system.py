@@ -204,6 +204,7 @@ def test_wrong_arguments_are_refused_by_name():
     scene = cs.load_scene("K4")
     system, state = SceneSystem(scene), cs.plan(scene).states(0.5)[0]
     cases = [
+        (lambda: system.place(0.5, cs.plan(scene).moments(0.5)), "moments .* in frames"),
         (lambda: system.function("slips"), "output = 'slips' .* mean 'slip'"),
         (lambda: system.depends(["pose"]), r"output = \['pose'\] is unknown"),
         (lambda: system.evaluate("slip", 0.0, system.x0[:3]), r"x has shape \(3,\); give"),
@@ -216,7 +217,6 @@ def test_wrong_arguments_are_refused_by_name():
             (lambda x=wrong: system.evaluate("state", 0.1, x), "x"),
             (lambda x=wrong: system.from_states(x, state), "t"),
             (lambda x=wrong: system.from_states(0.5, x), "state"),
-            (lambda x=wrong: system.from_states(0.5, state, x), "w"),
         ]
     for ask, words in cases:
         with pytest.raises(cs.SceneError, match=f"scene 'K4'(, restart)?: {words}"):
