@@ -35,7 +35,8 @@ def around(n):
 @pytest.mark.parametrize("friction", [0.1, 0.5])
 def test_fingers_around_the_equator_squeeze_as_little_as_carries_the_weight(n, friction):
     points, normals = around(n)
-    forces = balancing_forces(points, normals, friction, [[0, 0, WEIGHT]], [[0, 0, 0]])
+    torque = [[1e-9, 0, 0]]  # by rounding, about the line of two
+    forces = balancing_forces(points, normals, friction, [[0, 0, WEIGHT]], torque)
     least = WEIGHT / (n * 0.8 * friction)
     np.testing.assert_allclose(np.sum(forces * normals, axis=-1), least, rtol=1e-6)
     np.testing.assert_allclose(forces.sum(axis=1), [[0, 0, WEIGHT]], atol=1e-7)
@@ -64,7 +65,6 @@ def test_forces_exert_the_wrench_that_is_asked_for_at_every_time():
         ([0, np.pi], 0.5, (1e-6, 0, 0), r"torque of \(-1e-06, 0, 0\)"),
         ([0, np.pi], 0.5, (0.01, 0, 0), r"force of \(0, 0, 0\) N and a torque of \(-0.01, 0, 0\)"),
     ],
-    ids=["one finger", "not opposite", "no friction", "small torque", "torque about a line"],
 )
 def test_no_grasp_is_refused_with_what_is_left_unbalanced(angles, friction, torque, left):
     points, normals = (np.tile(x, (2, 1, 1)) for x in ring(np.array(angles)))
