@@ -6,6 +6,7 @@ import argparse
 import math
 import tomllib
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -75,10 +76,10 @@ def _setting(text: str) -> tuple[str, Any]:
     table, _, name = key.strip().partition(".")
     if not equals or table != "drake" or not name:
         raise SceneError(f"--set {text}: write it like drake.friction=0.3")
-    try:
-        return name, tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
-        return name, value.strip()
+    for read in (lambda: tomllib.loads(f"value = {value}")["value"], lambda: float(value)):
+        with suppress(ValueError):  # TOML takes 0.3, but not .3
+            return name, read()
+    return name, value.strip()
 
 
 # --- telling -----------------------------------------------------------------------------------

@@ -227,7 +227,7 @@ def test_no_recording_is_written_where_none_is_wanted(tmp_path, monkeypatch, cap
 
 def test_keys_of_the_drake_table_can_be_set_for_a_run(tmp_path):
     words = ("--until", 0.01, "--no-recording", "--out", tmp_path)
-    assert run("D1", *words, *setting("friction=0.3"), *POINT) == 0
+    assert run("D1", *words, *setting("friction=.3"), *POINT) == 0
     with np.load(tmp_path / "D1-drake.npz") as logs:
         (tmp_path / "D1.toml").write_text(str(logs["scene"]))
     used = StationConfig.from_scene(cs.load_scene("D1"), friction=0.3, contact_model="point")
