@@ -137,9 +137,10 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     A planner may be shared by threads that have a Context each.
 
-    AutoDiffXd and Expression are supported. ``Linearize`` and ``DiscreteTimeApproximation``
-    need a planner without restarts, whose states are continuous alone; for others Drake ends the
-    process.
+    AutoDiffXd and Expression are supported. ``FirstOrderTaylorApproximation`` linearizes a planner;
+    ``Linearize`` takes contacts, which move, only with ``equilibrium_check_tolerance=inf``. They
+    and ``DiscreteTimeApproximation`` need a planner without restarts, whose states are continuous
+    alone; for others Drake ends the process.
     ``DirectCollocation`` evaluates systems at one time, and so is right only where sigma is
     constant. In frame coordinates Drake takes hours to evaluate the symbolic acceleration,
     whose tree has 1e10 nodes; derivatives and the rest take up to seconds.
