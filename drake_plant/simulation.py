@@ -175,13 +175,7 @@ def simulate(
     """
     gc.collect()  # Diagrams are cycles: free those of runs before this one
     config = checked(scene, config, "station")
-    duration = scene.duration if duration is None else duration
-    step = config.time_step or CONTINUOUS.max_step_size
-    if not finite_number(duration, f"{scene.title}: duration") >= step:
-        raise SceneError(
-            f"{scene.title}: a simulation of {duration!r} s with a time_step of {step:g} "
-            "s: give a finite time of at least one step"
-        )
+    duration, step = _lasting(scene, config, duration)
     period = step * max(1, math.floor(min(LOGGED, duration) / step + NEAR))
     if config.hand is not None:
         planned_hand = plan_reorientation(config.hand, scene, config=config)
@@ -216,8 +210,7 @@ def simulate_hand(
 ) -> HandResult:
     """Simulate a plan from its start: see :func:`simulate`."""
     require_config(plan, Reorientation, "plan")
-    duration = plan.scene.duration if duration is None else duration
-    finite_number(duration, f"{plan.scene.title}: duration", "above 0")
+    duration, _ = _lasting(plan.scene, plan.config, duration)
     run = Run(plan.scene, plan.config, partial(BuildHandStation, plan), recording)
     driver, plant = run.station.GetSubsystemByName("driver"), run.parts.plant
     own, physics = (system.GetMyContextFromRoot(run.root) for system in (driver, plant))
@@ -232,6 +225,18 @@ def simulate_hand(
     result = HandResult(plan.rolling, plan.config, *seen, plan, wanted, said["q"], said["torque"])
     run.film(result)
     return result
+
+
+def _lasting(scene: Scene, config: StationConfig, duration: float | None) -> tuple[float, float]:
+    """How long a simulation and a step of it last, s."""
+    duration = scene.duration if duration is None else duration
+    step = config.time_step or CONTINUOUS.max_step_size
+    if not finite_number(duration, f"{scene.title}: duration") >= step:
+        raise SceneError(
+            f"{scene.title}: a simulation of {duration!r} s with a time_step of {step:g} "
+            "s: give a finite time of at least one step"
+        )
+    return duration, step
 
 
 def _hand_planned(plan: Reorientation, t: Array) -> dict[str, Array]:

@@ -606,14 +606,8 @@ def one_push(**changes):
         ({"pushes": {"on": "object"}}, "pushes = .*: give a list"),  # [drake.pushes] for [[ ]]
         ({"frction": 0.3}, "key = 'frction'.*'friction'"),
         ({"time_step": "1e-3"}, "time_step = '1e-3': give a finite number"),
-        (
-            {"restart_period": 0.0015},
-            "restart_period = 0.0015: .* time_step = 0.001; give restart_period = 0.002",
-        ),
-        (
-            {"restart_distance": 0.1, "time_step": 0.003},
-            r"restart_period = None \(None: 0.01 s\).* = 0.009",
-        ),
+        ({"restart_period": 0.0015}, "restart_period = 0.0015: .* give restart_period = 0.002"),
+        ({"restart_distance": 0.1, "time_step": 0.003}, r".* = None \(None: 0.01 s\).* = 0.009"),
     ],
 )
 def test_a_wrong_value_of_the_drake_table_is_named(changes, words):
@@ -624,10 +618,7 @@ def test_a_wrong_value_of_the_drake_table_is_named(changes, words):
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (
-            StationConfig(coordinates="plan", restart_distance=0.1),
-            "coordinates = .plan.: a plan has no",
-        ),
+        (StationConfig(coordinates="plan", restart_distance=0.1), "coordinates = .plan.: a plan"),
         (StationConfig(position_gain=None), "position_gain = None"),
         ({"friction": 0.5}, "config = {'friction': 0.5}: give a StationConfig"),
     ],

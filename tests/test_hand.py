@@ -55,6 +55,8 @@ def test_fingers_of_six_joints_follow_routes_of_reach(tmp_path):
     np.testing.assert_allclose(plan.points, points, atol=1e-11)
     simulate_hand(plan, 0.01, recording=tmp_path / "film.html")
     assert (tmp_path / "film.html").exists()
+    with pytest.raises(cs.SceneError, match="0.0001 s .* of at least one step"):
+        simulate_hand(plan, 1e-4)
 
 
 @pytest.mark.parametrize(
