@@ -17,7 +17,7 @@ from contact_system.theory.lowering import Table as Instructions
 from .model import TOLERANCE, equations, frame_sizes, measured, way_of
 from .variables import Table
 
-VERSION, HEADER = 20261128.0, 36
+VERSION, HEADER = 20261129.0, 37
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
 
 
@@ -65,8 +65,10 @@ def scene_data(table: Table, token: str) -> bytes:
         corners |= {stretch.start for stretch in way_of(scene, contact)[1:]}
     sensed = ContactSensor(scene) if table.measured == "pose" else None
     limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else 4 * (0.0,)
+    bounds = [*(group[0] for group in table.groups), len(rows)]
     least = [-np.inf if v.minimum is None else v.minimum for v in rows]
     nominals = [rows[r].nominal for r in table.states]
+    owners = np.repeat([-1, *range(len(table.groups))], np.diff([0, *bounds]))
     shown = table.joined if table.arrays else rows
     sizes = [size for v in shown for size in (v.size, *[0] * (v.size - 1))]
     windows = [
@@ -81,7 +83,7 @@ def scene_data(table: Table, token: str) -> bytes:
         f"<{HEADER - 3}d",
         *(len(table.groups), len(rows), law.power, law.makes_up),
         *(scene.duration, TOLERANCE, table.first["scale"]),
-        *(data.texts(token), data.texts(*(v.name for v in rows))),
+        *(data.texts(token), data.texts(*(v.name for v in rows)), data.numbers(owners)),
         data.numbers([KINDS.index(v.kind) for v in rows]),
         *(data.numbers(sizes), data.numbers(table.start_values), data.numbers(least)),
         *(data.numbers(nominals), data.numbers(contacts)),

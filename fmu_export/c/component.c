@@ -94,9 +94,9 @@ static status_t check_value(component_t *c, unsigned reference, double value) {
   const double least = section(c->model, D_LEAST)[reference];
   if (!(fabs(value) <= DBL_MAX))
     return report(c, DISCARD, "%s = %g is refused; give a finite number",
-                  c->model->names[reference], value);
+                  name_of(c->model, reference), value);
   if (value < least)
-    return report(c, DISCARD, "%s = %.9g is refused; give %g or more", c->model->names[reference],
+    return report(c, DISCARD, "%s = %.9g is refused; give %g or more", name_of(c->model, reference),
                   value, least);
   return OK;
 }
@@ -104,7 +104,7 @@ static status_t check_value(component_t *c, unsigned reference, double value) {
 static void set_value(component_t *c, unsigned reference, double value) {
   if (c->value[reference] == value) return;
   c->value[reference] = value;
-  const long owner = c->model->owners[reference];
+  const long owner = owner_of(c->model, reference);
   if (owner < 0)
     forget_values(c);
   else

@@ -61,6 +61,7 @@ typedef struct {
 typedef struct {
   plan_t *plan; /* of its segment */
   int anchored;
+  int derived;    /* whether its derivatives are asked for */
   unsigned valid; /* groups that belong to time and inputs */
 } live_t;
 

@@ -156,6 +156,11 @@ FMI_EXPORT status_t FMI(Reset)(void *instance) {
   return OK;
 }
 
+/* Goes through the elements of variables. */
+#define EACH_VALUE(r, vr, count)                                                                   \
+  for (size_t k_ = 0; k_ < (count); k_++)                                                          \
+    for (unsigned r = (vr)[k_], end_ = r + SIZE(c, r); r < end_; r++)
+
 /* --- values ----------------------------------------------------------------------------------- */
 
 /* Refuses missing pointers, unknown references and another number of values than theirs. */
@@ -204,7 +209,7 @@ static status_t check_one(component_t *c, unsigned reference, double value) {
       [INPUT] = "is an input; set it before the simulation ends, or reset first",
       [EXACT] = "is a start value; set it before initialization ends, or use the inputs"};
   if (!settable(c, reference))
-    REFUSE("%s = %.9g is refused now: it %s", c->model->names[reference], value,
+    REFUSE("%s = %.9g is refused now: it %s", name_of(c->model, reference), value,
            remedy[kind_of(c->model, reference)]);
   return check_value(c, reference, value);
 }
@@ -217,7 +222,7 @@ FMI_EXPORT status_t FMI(GetReal)(void *instance, const unsigned vr[], size_t cou
   for (size_t k = 0; k < count; value += SIZE(c, vr[k]), k++) {
     if (c->now->phase == INSTANTIATED && kind_of(c->model, vr[k]) == CALCULATED)
       REFUSE("%s is calculated and has no start value; ask from initialization on",
-             c->model->names[vr[k]]);
+             name_of(c->model, vr[k]));
     const status_t s = get_values(c, vr[k], SIZE(c, vr[k]), value);
     worst = s > worst ? s : worst;
   }
@@ -229,47 +234,44 @@ FMI_EXPORT status_t FMI(SetReal)(void *instance, const unsigned vr[], size_t cou
                                  const double value[] ROOM(n)) {
   BEGIN(SETTABLE);
   if (check_values(c, vr, count, value, ROOM_OF(count, n))) return FAILED;
-  for (int sets = 0; sets < 2; sets++) {
-    const double *next = value;
-    for (size_t k = 0; k < count; k++)
-      for (unsigned j = 0; j < SIZE(c, vr[k]); j++, next++) {
-        const status_t wrong = sets ? OK : check_one(c, vr[k] + j, *next);
-        if (wrong) return wrong;
-        if (sets) set_value(c, vr[k] + j, *next);
-      }
+  const double *next = value;
+  EACH_VALUE(r, vr, count) {
+    const status_t wrong = check_one(c, r, *next++);
+    if (wrong) return wrong;
   }
+  EACH_VALUE(r, vr, count) set_value(c, r, *value++);
   return OK;
 }
 
-static void directional(component_t *c, const unsigned knowns[], size_t n_knowns,
-                        const double *seed, const unsigned unknowns[], size_t n_unknowns,
-                        double *value) {
-  memset(c->grows, 0, (size_t)c->model->n_values * sizeof *c->grows);
-  for (size_t k = 0; k < n_knowns; k++)
-    for (unsigned j = 0; j < SIZE(c, knowns[k]); j++) c->grows[knowns[k] + j][0] += *seed++;
-  derive(c);
-  for (size_t k = 0; k < n_unknowns; k++)
-    for (unsigned j = 0; j < SIZE(c, unknowns[k]); j++) *value++ = c->grows[unknowns[k] + j][0];
-}
-
-/* Along each of n knowns, L at once; the seed is of the unknowns. */
-static void adjoint(component_t *c, const unsigned unknowns[], size_t n_unknowns,
-                    const double *seed, const unsigned knowns[], size_t n_knowns, double *value,
-                    size_t n) {
-  for (size_t done = 0; done < n; done += L) {
+/* Products with the matrix of derivatives, from the seed's direction along all knowns; transposed:
+   from those along each known, L at once, as the seed is of the unknowns. */
+static void multiply(component_t *c, int transposed, const unsigned unknowns[], size_t n_unknowns,
+                     const unsigned knowns[], size_t n_knowns, const double *seed, double *value,
+                     size_t n) {
+  size_t at = 0;
+  if (transposed) memset(value, 0, n * sizeof *value);
+  for (long i = 0; i < c->model->n_contacts; i++) c->live[i].derived = 0;
+  EACH_VALUE(r, unknowns, n_unknowns)
+  c->live[owner_of(c->model, r)].derived |= !transposed || seed[at++] != 0.0;
+  for (size_t done = 0; done < (transposed ? n : 1); done += L) {
     const size_t more = n - done < L ? n - done : L;
-    const double *next = seed;
-    size_t at = 0;
+    at = 0;
     memset(c->grows, 0, (size_t)c->model->n_values * sizeof *c->grows);
-    for (size_t k = 0; k < n_knowns; k++)
-      for (unsigned j = 0; j < SIZE(c, knowns[k]); j++, at++)
-        if (at >= done && at < done + more) c->grows[knowns[k] + j][at - done] = 1.0;
+    EACH_VALUE(r, knowns, n_knowns) {
+      if (!transposed)
+        c->grows[r][0] += seed[at];
+      else if (at >= done && at < done + more)
+        c->grows[r][at - done] = 1.0;
+      at++;
+    }
     derive(c);
-    memset(value + done, 0, more * sizeof *value);
-    for (size_t k = 0; k < n_unknowns; k++)
-      for (unsigned j = 0; j < SIZE(c, unknowns[k]); j++, next++)
-        for (size_t d = 0; d < more && *next != 0.0; d++)
-          value[done + d] += *next * c->grows[unknowns[k] + j][d];
+    at = 0;
+    EACH_VALUE(r, unknowns, n_unknowns) {
+      for (size_t d = 0; d < more && transposed && seed[at] != 0.0; d++)
+        value[done + d] += seed[at] * c->grows[r][d];
+      if (!transposed) value[at] = c->grows[r][0];
+      at++;
+    }
   }
 }
 
@@ -285,16 +287,17 @@ static status_t products(component_t *c, int transposed, const unsigned from[], 
       const int kind = kind_of(c->model, reference);
       if (side != transposed && kind != CALCULATED && kind != EXACT)
         REFUSE("%s is not an unknown; give states or calculated variables",
-               c->model->names[reference]);
+               name_of(c->model, reference));
       if (side == transposed && kind == CALCULATED)
-        REFUSE("%s is not a known; give inputs, states or parameters", c->model->names[reference]);
+        REFUSE("%s is not a known; give inputs, states or parameters",
+               name_of(c->model, reference));
     }
   const status_t s = SYSTEM(c->now) ? OK : settle(c, "values", c->now->time);
   if (s) return s;
   if (transposed)
-    adjoint(c, from, n_from, seed, to, n_to, value, n);
+    multiply(c, 1, from, n_from, to, n_to, seed, value, n);
   else
-    directional(c, from, n_from, seed, to, n_to, value);
+    multiply(c, 0, to, n_to, from, n_from, seed, value, n);
   for (size_t k = 0; k < n_to; value += SIZE(c, to[k]), k++) {
     const long wrong = without_value(c, to[k], value, SIZE(c, to[k]));
     if (wrong < SIZE(c, to[k])) return refuse(c, to[k] + (unsigned)wrong);

@@ -6,12 +6,8 @@
 typedef char fmi2Byte;
 typedef enum { fmi2OK, fmi2Warning, fmi2Discard, fmi2Error } fmi2Status;
 typedef enum { fmi2ModelExchange, fmi2CoSimulation } fmi2Type;
-typedef enum {
-  fmi2DoStepStatus,
-  fmi2PendingStatus,
-  fmi2LastSuccessfulTime,
-  fmi2Terminated
-} fmi2StatusKind;
+typedef int fmi2StatusKind;
+enum { fmi2LastSuccessfulTime = 2, fmi2Terminated };
 typedef void (*fmi2CallbackLogger)(void *, const char *, fmi2Status, const char *, const char *,
                                    ...);
 typedef struct {

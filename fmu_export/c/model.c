@@ -32,6 +32,16 @@ static inline const surface_t *surface_of(const model_t *m, long i, int side) {
   return m->surfaces[(long)body_of_contact(m, i, side)[Q_SURFACE]];
 }
 
+static inline long owner_of(const model_t *m, unsigned reference) {
+  return (long)section(m, D_OWNERS)[reference];
+}
+
+static const char *name_of(const model_t *m, unsigned reference) {
+  const char *name = (const char *)section(m, D_NAMES);
+  while (reference--) name += strlen(name) + 1;
+  return name;
+}
+
 static inline const char *token_of(const model_t *m) { return (const char *)section(m, D_TOKEN); }
 
 static inline int kind_of(const model_t *m, unsigned reference) {
@@ -90,17 +100,11 @@ static void lay_out(model_t *m) {
     l->states = l->at[OF_RATES] - l->at[OF_STATES];
     m->n_states += l->states;
   }
-  const char *name = (const char *)section(m, D_NAMES);
-  for (long r = 0, i = -1; r < m->n_values; r++, name += strlen(name) + 1) {
-    if (i + 1 < m->n_contacts && r == m->layout[i + 1].at[0]) i++;
-    m->names[r] = name, m->owners[r] = i;
-  }
 }
 
 static void free_model(model_t *m) {
   if (!m) return;
-  free(m->data), free(m->surfaces), free(m->own), free(m->tables), free(m->layout), free(m->names);
-  free(m->owners), free(m);
+  free(m->data), free(m->surfaces), free(m->own), free(m->tables), free(m->layout), free(m);
 }
 
 /* Returns NULL and says why where there is no scene that fits. */
@@ -109,24 +113,22 @@ static model_t *read_model(const char *resources, const char **wrong) {
   model_t *m = calloc(1, sizeof *m);
   *wrong = "no memory";
   if (!m) return NULL;
-  double *d = m->data = scene_data(resources, &count);
+  const double *d = m->data = scene_data(resources, &count);
   *wrong = "resources/scene.bin cannot be read: instantiate with the folder that the FMU was "
            "unpacked to";
   if (!d) goto refused;
   *wrong = "resources/scene.bin is damaged, or of another version; export the FMU again";
-  if (count <= D_HEADER || d[D_VERSION] != DATA_VERSION) goto refused;
-  if (d[D_SIZE] != (double)count) goto refused;
-  if (d[D_CHECKSUM] != (double)adler32(d + D_HEADER, 8 * (count - D_HEADER))) goto refused;
+  if (count <= D_HEADER || d[D_VERSION] != DATA_VERSION || d[D_SIZE] != (double)count ||
+      d[D_CHECKSUM] != (double)adler32(d + D_HEADER, 8 * (count - D_HEADER)))
+    goto refused;
   m->n_contacts = (long)d[D_CONTACTS], m->n_values = (long)d[D_VALUES];
   m->n_windows = (long)d[D_N_WINDOWS];
   const size_t surfaces = (size_t)d[D_N_SURFACES], each = N_AMBIENT + N_CHART;
   m->surfaces = calloc(surfaces, sizeof *m->surfaces), m->own = calloc(surfaces, sizeof *m->own);
   m->tables = calloc(surfaces * each + 2 * (size_t)m->n_contacts, sizeof *m->tables);
   m->layout = calloc((size_t)m->n_contacts, sizeof *m->layout);
-  m->names = calloc((size_t)m->n_values, sizeof *m->names);
-  m->owners = calloc((size_t)m->n_values, sizeof *m->owners);
   *wrong = "no memory";
-  if (!m->surfaces || !m->own || !m->tables || !m->layout || !m->names || !m->owners) goto refused;
+  if (!m->surfaces || !m->own || !m->tables || !m->layout) goto refused;
   read_surfaces(m);
   lay_out(m);
   *wrong = NULL;

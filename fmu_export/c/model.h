@@ -18,7 +18,7 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_VERSION 20261128.0
+#define DATA_VERSION 20261129.0
 enum {
   D_VERSION,  /* the day of its last change, by which data is known at all */
   D_SIZE,     /* doubles in all */
@@ -32,6 +32,7 @@ enum {
   D_SCALE,     /* reference of the factor of the scene's windows */
   D_TOKEN,     /* text */
   D_NAMES,     /* texts, one after the other, of all values */
+  D_OWNERS,    /* contacts of all values; -1: of all contacts */
   D_KINDS,     /* of all values */
   D_SIZES,     /* how many values a reference of FMI 3 has */
   D_STARTS,
@@ -124,8 +125,6 @@ typedef struct {
   table_t *tables; /* of the user's surfaces; then of systems */
   const table_t *systems;
   layout_t *layout;
-  const char **names;
-  long *owners; /* contacts of all values; -1: of all contacts */
   long n_contacts, n_values, n_states, n_windows;
 } model_t;
 

@@ -38,6 +38,11 @@ static double sigma_now(const component_t *c, long i) {
   return horner(leg.sigma, leg.n, c->now->acts_at - leg.start);
 }
 
+/* sigma of a leg at a time since its start, or 0 where that is but rounding */
+static double clear_sigma(const leg_t *leg, double t) {
+  return clear_value(leg->sigma, leg->n, t, horner(leg->sigma, leg->n, t));
+}
+
 /* where the leg's sigma, or its rate for order 1, changes its sign between two times, ascending */
 static long signs_of(const leg_t *leg, int order, double from, double to,
                      double found[2 * MAX_PROFILE]) {
@@ -67,7 +72,7 @@ static void study_profiles(component_t *c) {
     double at[2 * MAX_PROFILE];
     const long n = signs_of(&leg, 0, begin, far, at);
     const double middle = 0.5 * (begin + (n ? at[0] : far)) - leg.start;
-    const int ends = clear_value(leg.sigma, leg.n, middle, horner(leg.sigma, leg.n, middle)) < 0;
+    const int ends = clear_sigma(&leg, middle) < 0;
     if (ends || n) c->now->limit = fmin(c->now->limit, ends ? begin : at[0]);
   }
 }
@@ -75,8 +80,7 @@ static void study_profiles(component_t *c) {
 /* whether sigma is zero but for rounding */
 static int rests(const component_t *c, long i) {
   const leg_t leg = leg_of(c, i, leg_now(c, i));
-  const double t = c->now->time - leg.start;
-  return clear_value(leg.sigma, leg.n, t, horner(leg.sigma, leg.n, t)) <= 0;
+  return clear_sigma(&leg, c->now->time - leg.start) <= 0;
 }
 
 /* Whether the path leaves a rest under a law that makes up for growth, which no slip does. */

@@ -91,7 +91,7 @@ static unsigned group_of(const component_t *c, long i, long reference) {
 /* The first of these values that there is not; count where there are all */
 static long without_value(const component_t *c, unsigned reference, const double *value,
                           long count) {
-  const long owner = c->model->owners[reference];
+  const long owner = owner_of(c->model, reference);
   long i = 0;
   for (; i < count; i++) {
     if (fabs(value[i]) <= BEYOND_VALUES) continue;
@@ -105,8 +105,8 @@ static long without_value(const component_t *c, unsigned reference, const double
 /* Says why there is no value. */
 static status_t refuse(component_t *c, unsigned reference) {
   const memory_t *now = c->now;
-  const char *what = c->model->names[reference];
-  const long i = c->model->owners[reference];
+  const char *what = name_of(c->model, reference);
+  const long i = owner_of(c->model, reference);
   if (past_end(c))
     return report(
         c, DISCARD,
@@ -124,7 +124,7 @@ static status_t refuse(component_t *c, unsigned reference) {
 }
 
 static status_t get_values(component_t *c, unsigned reference, long count, double *value) {
-  const long i = c->model->owners[reference];
+  const long i = owner_of(c->model, reference);
   if (i >= 0) {
     const unsigned group = group_of(c, i, reference);
     status_t s = group && !SYSTEM(c->now) ? settle(c, "values", c->now->time) : OK;
@@ -159,13 +159,13 @@ static void grow_results(component_t *c, long i) {
   const size_t room = (size_t)n_results(l) * sizeof *results;
   int any = 0;
   memset(results, 0, room);
-  memset(c->tangents, 0, (size_t)t->n_regs * sizeof *c->tangents);
-  for (long r = 0; r < t->n_in + t->n_const; r++) {
-    if (column[r] < 0) continue; /* a leg's own number */
-    memcpy(c->tangents[r], c->grows[(long)column[r]], sizeof *c->tangents);
-    for (int d = 0; d < L; d++) any |= c->tangents[r][d] != 0.0;
-  }
+  for (long r = 0; r < t->n_in + t->n_const; r++)
+    for (int d = 0; d < L && column[r] >= 0; d++) any |= c->grows[(long)column[r]][d] != 0.0;
   if (any) {
+    /* of a leg's own numbers and of literals nothing grows */
+    memset(c->tangents, 0, (size_t)(t->first_lit + t->n_lit) * sizeof *c->tangents);
+    for (long r = 0; r < t->n_in + t->n_const; r++)
+      if (column[r] >= 0) memcpy(c->tangents[r], c->grows[(long)column[r]], sizeof *c->tangents);
     UNTRAPPED({
       double *r = load_system(c, i, c->tangents);
       c->engine->along(&(program_t){t->prologue, r}, c->tangents);
@@ -179,10 +179,11 @@ static void grow_results(component_t *c, long i) {
       if (fabs(results[j][d]) > most) results[j][d] = NAN;
 }
 
-/* All results, from what stands in c->grows of the other values */
+/* Results of the contacts that are asked for, from what stands in c->grows of the other values */
 static void derive(component_t *c) {
   for (long i = 0; i < c->model->n_contacts; i++) {
     double state; /* the first, which brings all up to date */
+    if (!c->live[i].derived) continue;
     if (!SYSTEM(c->now)) get_values(c, (unsigned)c->model->layout[i].at[OF_STATES], 1, &state);
     grow_windows(c, i);
     grow_results(c, i);

@@ -25,12 +25,26 @@ static double *load_surface(component_t *c, const double *body, const table_t *t
 }
 
 /* Puts a frame in space, whose start values anybody may have set, or a parameter of its surface,
-   back on the surface. Returns what is wrong, or NULL. */
-static const char *put_on_surface(component_t *c, long i, int side, double frame[6],
-                                  double (*grows)[L], double (*numbers)[L]) {
-  const double *body = body_of_contact(c->model, i, side);
-  const table_t *t = surface_of(c->model, i, side)->ambient[A_RESTORE];
-  double *r = load_surface(c, body, t, numbers), moved = 1.0;
+   back on the surface: one of the scene's own keeps its u, v and theta, others move along the
+   gradient. Returns what is wrong, or NULL. */
+static const char *put_frame(component_t *c, long i, int side, double frame[6], double (*grows)[L],
+                             double (*numbers)[L]) {
+  const double *body = body_of_contact(c->model, i, side), *starts = section(c->model, D_STARTS);
+  const table_t *const *tables = surface_of(c->model, i, side)->ambient, *t = tables[A_START];
+  const double *own =
+      starts + c->model->layout[i].at[OF_STATES] + side * c->model->layout[i].frame[0];
+  const long at = (long)body[Q_VALUES];
+  const int set = memcmp(c->value + at, starts + at, (size_t)body[Q_N_VALUES] * sizeof *starts);
+  if (t && (set || grows) && !memcmp(frame, own, 6 * sizeof *frame)) {
+    double *r = load_surface(c, body, t, numbers);
+    memcpy(r, contact_of(c->model, i) + P_PLACES + 3 * side, 3 * sizeof *r);
+    c->engine->along(&(program_t){t->body, r}, c->along);
+    const int found = all_finite(r + t->first_out, 6);
+    if (found) memcpy(frame, r + t->first_out, 6 * sizeof *frame);
+    for (int a = 0; a < 6 && grows && found; a++)
+      for (int k = 0; k < L; k++) grows[a][k] += c->along[t->first_out + a][k];
+  }
+  double *r = load_surface(c, body, t = tables[A_RESTORE], numbers), moved = 1.0;
   memcpy(r, frame, 6 * sizeof *r);
   if (grows) memcpy(c->along, grows, 6 * sizeof *grows);
   for (int k = 0; k < 50 && moved > 1e-12; k++) {
@@ -49,25 +63,6 @@ static const char *put_on_surface(component_t *c, long i, int side, double frame
   return NULL;
 }
 
-/* A frame of the scene's own keeps its u, v and theta where parameters of its surface are set. */
-static void keep_coordinates(component_t *c, long i, int side, double frame[6], double (*grows)[L],
-                             double (*numbers)[L]) {
-  const double *body = body_of_contact(c->model, i, side), *starts = section(c->model, D_STARTS);
-  const layout_t *l = c->model->layout + i;
-  const long at = (long)body[Q_VALUES];
-  const int set = memcmp(c->value + at, starts + at, (size_t)body[Q_N_VALUES] * sizeof *starts);
-  const table_t *t = surface_of(c->model, i, side)->ambient[A_START];
-  if (!t || !(set || grows)) return;
-  if (memcmp(frame, starts + l->at[OF_STATES] + side * l->frame[0], 6 * sizeof *frame)) return;
-  double *r = load_surface(c, body, t, numbers);
-  memcpy(r, contact_of(c->model, i) + P_PLACES + 3 * side, 3 * sizeof *r);
-  c->engine->along(&(program_t){t->body, r}, c->along);
-  if (!all_finite(r + t->first_out, 6)) return;
-  memcpy(frame, r + t->first_out, 6 * sizeof *frame);
-  for (int a = 0; a < 6 && grows; a++)
-    for (int k = 0; k < L; k++) grows[a][k] += c->along[t->first_out + a][k];
-}
-
 /* Both frames of contact i among these states, where they are in space. grows: of the point and
    constants of its equations, or NULL. Returns what is wrong, or NULL. */
 static const char *put_frames(component_t *c, long i, double *states, double (*grows)[L]) {
@@ -78,12 +73,10 @@ static const char *put_frames(component_t *c, long i, double *states, double (*g
   for (int side = 0; side < 2; side++) numbers -= (long)body_of_contact(m, i, side)[Q_N_VALUES];
   for (int side = 0; side < 2 && !wrong; side++) {
     const long from = side * m->layout[i].frame[0];
-    double *frame = states + from;
     double (*own)[L] = grows ? grows + 1 + from : NULL; /* behind time */
     double (*of)[L] = grows ? grows + numbers : NULL;
     if (m->layout[i].frame[side] == 6)
-      UNTRAPPED(keep_coordinates(c, i, side, frame, own, of);
-                wrong = put_on_surface(c, i, side, frame, own, of));
+      UNTRAPPED(wrong = put_frame(c, i, side, states + from, own, of));
     numbers += (long)body_of_contact(m, i, side)[Q_N_VALUES];
   }
   return wrong;

@@ -57,7 +57,7 @@ static status_t try_start(component_t *c) {
     if (!(c->value[greater] > c->value[less]))
       REFUSE("%s = %.9g is refused: it must be greater than %s = %.9g; set both, or export a scene "
              "that has this",
-             m->names[greater], c->value[greater], m->names[less], c->value[less]);
+             name_of(m, greater), c->value[greater], name_of(m, less), c->value[less]);
   }
   enter_windows(c);
   for (long i = 0; i < m->n_contacts; i++) {
