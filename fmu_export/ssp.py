@@ -92,8 +92,8 @@ def _structure(
     models: Mapping[str, tuple[str, ModelDescription]], connections: Iterable[tuple[str, str]]
 ) -> str:
     """The text of SystemStructure.ssd (SSP 1.0, section 5), of models' files and descriptions."""
-    connectors: dict[str, dict[str, tuple[str, str]]] = {name: {} for name in ("", *models)}
-    lines = []
+    connectors = {name: _new("Connectors") for name in ("", *models)}
+    wires, taken = _new("Connections"), set[tuple[str, str]]()
     for pair in connections:
         if isinstance(pair, str) or len(ends := [*pair]) != 2:
             raise ContactSystemError(
@@ -103,45 +103,36 @@ def _structure(
         types = [kind for _, _, kind in places if kind]
         if not types:
             raise ContactSystemError(f"connections: {pair!r}: neither is a variable of a model")
+        if places[1][:2] in taken:
+            raise ContactSystemError(
+                f"connections: {pair!r}: {places[1][1]!r} is connected already"
+            )
         line: dict[str, str] = {}
         for side, (model, variable, own) in zip(("start", "end"), places):
-            if side == "end" and variable in connectors[model]:
-                raise ContactSystemError(
-                    f"connections: {pair!r}: {variable!r} is connected already"
-                )
             # what goes into the system is an input of it and goes out to its models
             kind = "output" if (side == "start") == bool(model) else "input"
-            connectors[model][variable] = kind, own or types[0]
+            if (model, variable) not in taken:  # SSP wants an enumeration again, or no type
+                connector = _new("Connector", name=variable, kind=kind)
+                if (of := own or types[0]) != "Enumeration":
+                    ET.SubElement(connector, f"{{{_SSC}}}{of}")
+                connectors[model].append(connector)
+            taken.add((model, variable))
             line |= {f"{side}Element": model} if model else {}
             line[f"{side}Connector"] = variable
-        lines.append(line)
+        wires.append(_new("Connection", **line))
     ET.register_namespace("ssd", _SSD)
     ET.register_namespace("ssc", _SSC)
-    root = ET.Element(f"{{{_SSD}}}SystemStructureDescription", version="1.0", name="planners")
-    system = _add(root, "System", name="planners")
-    _add_connectors(system, connectors[""])
-    elements = _add(system, "Elements")
+    elements = _new("Elements")
     for name, (source, _) in models.items():
         described = {"name": name, "type": "application/x-fmu-sharedlibrary", "source": source}
-        _add_connectors(_add(elements, "Component", **described), connectors[name])
-    if lines:
-        wires = _add(system, "Connections")
-        for line in lines:
-            _add(wires, "Connection", **line)
+        elements.append(_new("Component", *filter(len, [connectors[name]]), **described))
+    parts = [part for part in (connectors[""], elements, wires) if len(part)]  # none may be empty
+    root = _new("SystemStructureDescription", version="1.0", name="planners")
+    root.append(_new("System", *parts, name="planners"))
     stops = [getattr(d.defaultExperiment, "stopTime", None) for _, d in models.values()]
     stop = max((float(t) for t in stops if t), default=1.0)
-    _add(root, "DefaultExperiment", startTime="0", stopTime=repr(stop))
+    root.append(_new("DefaultExperiment", startTime="0", stopTime=repr(stop)))
     return xml_text(root)
-
-
-def _add_connectors(parent: ET.Element, connectors: Mapping[str, tuple[str, str]]) -> None:
-    """Kind and type of each; SSP has no empty lists of them."""
-    if connectors:
-        parent = _add(parent, "Connectors")
-    for name, (kind, of) in connectors.items():
-        connector = _add(parent, "Connector", name=name, kind=kind)
-        if of != "Enumeration":  # SSP wants its items again, or no type
-            ET.SubElement(connector, f"{{{_SSC}}}{of}")
 
 
 def _place(
@@ -160,5 +151,7 @@ def _place(
     return model, variable, variables[variable]
 
 
-def _add(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
-    return ET.SubElement(parent, f"{{{_SSD}}}{tag}", attributes)
+def _new(tag: str, *parts: ET.Element, **attributes: str) -> ET.Element:
+    element = ET.Element(f"{{{_SSD}}}{tag}", attributes)
+    element.extend(parts)
+    return element
