@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import metadata
 from pathlib import Path
+from string import Template
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from .build import SOURCES
 from .quantities import Variable, unit_name
 from .variables import Table
 
-VERSIONS = ("2.0", "3.0")
+HERE, VERSIONS = Path(__file__).parent, ("2.0", "3.0")
 INTERFACES = ("CoSimulation", "ModelExchange")
 LOG_CATEGORIES = {
     "logStatusDiscard": "Requests that were refused; the instance is as it was before",
@@ -274,35 +275,19 @@ def _structure(table: Table, fmi_version: str) -> ET.Element:
 def companions(table: Table, fmi_version: str) -> dict[str, bytes]:
     """File name inside the FMU -> bytes."""
     icon = "model.png" if fmi_version == "2.0" else "terminalsAndIcons/icon.png"
+    name, text = escape(table.scene.name), escape(table.scene.description)
+    page = Template(HERE.joinpath("page.html").read_text("utf-8"))
     files = {
-        icon: Path(__file__).with_name("icon.png").read_bytes(),
-        "documentation/index.html": page(table).encode(),
+        icon: HERE.joinpath("icon.png").read_bytes(),
+        "documentation/index.html": page.substitute(
+            name=name, description=text, version=__version__
+        ).encode(),
     }
     license_text = metadata.distribution("contact-system").read_text("licenses/LICENSE")
     files["documentation/licenses/license.txt"] = (license_text or "MIT").encode()
     if fmi_version == "3.0":
         files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(table).encode()
     return files
-
-
-def page(table: Table) -> str:
-    """The HTML page: what the block does; its variables are described in its XML."""
-    scene = table.scene
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f"<title>{escape(scene.name)}</title><style>body{{font-family:sans-serif;max-width:60em;"
-        "margin:2em auto}</style></head><body>\n"
-        f"<h1>{escape(scene.name)}</h1><p>{escape(scene.description)}</p>\n"
-        "<p>Plans rolling contact curves: how the contact point of each finger moves over finger "
-        "and object while slip is rejected. Set inputs to disturb a contact; read coordinates, "
-        "slip, twist and pose. Kumar &amp; Mukherjee, <i>A note on synthesizing geodesic based "
-        "contact curves</i>.</p>\n"
-        "<p>Communication steps may have any size and may vary; results do not depend on them. "
-        "The continuous states are moving frames. Their start values, and all parameters, among "
-        "them the scene's own disturbances, can be set before initialization ends.</p>\n"
-        f"<p>contact-system {__version__}</p>"
-        "</body></html>\n"
-    )
 
 
 def build_description(table: Table) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import zipfile
+from pathlib import Path
 
 import fmpy
 import numpy as np
@@ -17,18 +18,10 @@ from contact_system.plan import plan
 from contact_system.scene import Scene
 
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref/"
+RESULTS_FILE = f"{FOLDER}reference.csv"
 ROWS = 51  # times, from the beginning to the end of the scene
 RESULTS = {"points": ("finger.point", "object.point"), "twist": ("twist.angular", "twist.linear")}
 """Of `Plan.evaluate`, those that exist at poles too, and the variables that they are."""
-MANIFEST = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiReferences xmlns:fmi-ls="http://fmi-standard.org/fmi-ls-manifest"
-  fmi-ls:fmi-ls-name="org.fmi-standard.fmi-ls-ref" fmi-ls:fmi-ls-version="1.0.0-alpha.1"
-  fmi-ls:fmi-ls-description="Layered Standard providing information on related files \
-included in an FMU.">
-  <Related type="text/csv" source="reference.csv" role="result"
-    description="Reference results of the default experiment"/>
-</fmiReferences>
-"""
 
 
 def reference_files(scene: Scene) -> dict[str, bytes]:
@@ -45,10 +38,8 @@ def reference_files(scene: Scene) -> dict[str, bytes]:
             columns += [*values.T]
     rows = [names, *(map(repr, row) for row in np.transpose(columns).tolist())]
     text = "".join(f"{','.join(row)}\n" for row in rows)
-    return {
-        f"{FOLDER}fmi-ls-manifest.xml": MANIFEST.encode(),
-        f"{FOLDER}reference.csv": text.encode(),
-    }
+    manifest = Path(__file__).with_name("fmi-ls-manifest.xml")
+    return {f"{FOLDER}{manifest.name}": manifest.read_bytes(), RESULTS_FILE: text.encode()}
 
 
 def check_fmu(path: str | os.PathLike, bar: float = 1e-10) -> float:
@@ -72,7 +63,7 @@ def check_fmu(path: str | os.PathLike, bar: float = 1e-10) -> float:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            text = archive.read(f"{FOLDER}reference.csv").decode()
+            text = archive.read(RESULTS_FILE).decode()
     except (OSError, KeyError, zipfile.BadZipFile) as error:
         raise ContactSystemError(f"{path}: no reference results can be read: {error}") from None
     names, *rows = (line.split(",") for line in text.splitlines())
