@@ -77,14 +77,16 @@ static const char *begin_at(component_t *c, long i, segment_t *s, const double x
 static const char *begin_measured(component_t *c, long i, segment_t *s) {
   const int posed = contact_of(c->model, i)[P_UNKNOWNS] > 0;
   int sided = posed;
-  double x[N_STATES], points[6] = {0}, planned[N_STATES] = {0};
-  const double *found;
+  const long *at = c->model->layout[i].at;
+  const double *planned = c->value + at[OF_COORDINATES], *points = c->value + at[OF_POINTS], *found;
+  double x[N_STATES];
   if (!(sigma_now(c, i) > 0))
     return "sigma is zero, so that rates do not determine path velocities; measure while sigma > 0";
   for (int side = 0; side < 2; side++) sided |= surface_of(c->model, i, side)->double_cover;
   /* the plan tells on which side of a chart it is, and where to begin to look for it */
-  double *out[N_OUTPUTS] = {[STATES] = planned, [POINTS] = posed ? points : NULL};
-  if (sided) sided = !cover(c, i, c->now->acts_at) && !look_at(c, i, time_on(c, i), out);
+  if (sided)
+    sided = !cover(c, i, c->now->acts_at) &&
+            !look(c, i, time_on(c, i), BIT(OF_COORDINATES) | (posed ? BIT(OF_POINTS) : 0));
   if (posed && !sided) return "its plan has no coordinates there; measure a moment later";
   const char *wrong = sense(c, i, planned, points, &found);
   if (wrong) return wrong;

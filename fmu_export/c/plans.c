@@ -67,38 +67,56 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   return found;
 }
 
-/* Where contact i has come to by a plan; returns not 0 where that cannot be told. */
-static int moment_at(component_t *c, plan_t *plan, double t, double *out) {
-  int wrong;
-  UNTRAPPED(wrong = c->engine->moments(plan, t, out, &c->failure));
-  return wrong;
-}
-
 /* The time that values of contact i are of, on its segment */
 static double time_on(const component_t *c, long i) {
   return fmin(fmax(c->now->acts_at, c->segment[i].begin), c->segment[i].end);
 }
 
-/* The plan of contact i at time t; returns not 0 where it has no such values there. */
-static int look_at(component_t *c, long i, double t, double *const out[N_OUTPUTS]) {
+/* A segment goes on at time t from where a plan of it has come to. */
+static int go_on(component_t *c, plan_t *plan, double t, segment_t *s) {
+  double m[MOMENT_SIZE];
+  int wrong;
+  UNTRAPPED(wrong = c->engine->moments(plan, t, m, &c->failure));
+  if (wrong) return 1;
+  s->begin = t, s->row[K_MOMENT] = 1.0;
+  memcpy(s->row + K_PLACE_1, m, sizeof m);
+  return 0;
+}
+
+#define BIT(group) (1u << (group))
+
+static void put_states(const layout_t *l, const double *row, double *to) {
+  const int frame[2] = {K_FRAME_1, K_FRAME_2}, place[2] = {K_PLACE_1, K_PLACE_2};
+  for (int side = 0; side < 2; to += l->frame[side++])
+    memcpy(to, row + (l->frame[side] == 6 ? frame : place)[side],
+           (size_t)l->frame[side] * sizeof *to);
+  memcpy(to, row + K_W1, 4 * sizeof *to);
+}
+
+/* Evaluates groups of contact i at time t into its values; returns not 0 where a group has none. */
+static int look(component_t *c, long i, double t, unsigned groups) {
+  const layout_t *l = c->model->layout + i;
   live_t *k = c->live + i;
+  segment_t now;
   int wrong = 0;
+  double pose[16], *v = c->value, *out[N_OUTPUTS] = {0};
+  if (groups & BIT(OF_COORDINATES)) out[STATES] = v + l->at[OF_COORDINATES];
+  if (groups & BIT(OF_SLIP)) out[SLIP] = v + l->at[OF_SLIP];
+  if (groups & BIT(OF_TWIST)) out[TWIST] = v + l->at[OF_TWIST];
+  if (groups & BIT(OF_POSE)) out[POSE] = pose;
+  if (groups & BIT(OF_POINTS)) out[POINTS] = v + l->at[OF_POINTS];
+  if (groups & BIT(OF_CONDITION)) out[SLIP_SPEED] = v + l->at[OF_CONDITION] + 1;
   if (!k->anchored && (out[STATES] || out[SLIP])) {
     UNTRAPPED(wrong = c->engine->anchor(k->plan, &c->failure));
     k->anchored = !wrong;
   }
   if (!wrong) UNTRAPPED(wrong = c->engine->look(k->plan, t, out, &c->failure));
-  return wrong;
-}
-
-/* A segment goes on at time t from where a plan of it has come to. */
-static int go_on(component_t *c, plan_t *plan, double t, segment_t *s) {
-  double m[MOMENT_SIZE];
-  if (moment_at(c, plan, t, m)) return 1;
-  double *to = s->row;
-  s->begin = t;
-  to[K_MOMENT] = 1.0;
-  memcpy(to + K_PLACE_1, m, sizeof m);
+  if (wrong || (groups & BIT(OF_STATES) && go_on(c, k->plan, t, &now))) return 1;
+  if (groups & BIT(OF_STATES)) put_states(l, now.row, v + l->at[OF_STATES]);
+  for (int r = 0; r < 3 && out[POSE]; r++) {
+    memcpy(v + l->at[OF_POSE] + 3 * r, pose + 4 * r, 3 * sizeof *v);
+    v[l->at[OF_POSE] + 9 + r] = pose[4 * r + 3];
+  }
   return 0;
 }
 

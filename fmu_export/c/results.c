@@ -1,37 +1,6 @@
 /* Results, each group where it is asked for: of plans, or of the equations at the states. */
 
-#define BIT(group) (1u << (group))
 #define ALL_RESULTS (BIT(GROUPS) - BIT(OF_STATES))
-
-static void put_states(const layout_t *l, const double *row, double *to) {
-  const int frame[2] = {K_FRAME_1, K_FRAME_2}, place[2] = {K_PLACE_1, K_PLACE_2};
-  for (int side = 0; side < 2; to += l->frame[side++])
-    memcpy(to, row + (l->frame[side] == 6 ? frame : place)[side],
-           (size_t)l->frame[side] * sizeof *to);
-  memcpy(to, row + K_W1, 4 * sizeof *to);
-}
-
-/* Evaluates groups of contact i at time t into its values; returns not 0 where a group has none. */
-static int look(component_t *c, long i, double t, unsigned groups) {
-  const layout_t *l = c->model->layout + i;
-  double pose[16], row[CONTACT_SIZE], *v = c->value, *out[N_OUTPUTS] = {0};
-  if (groups & BIT(OF_COORDINATES)) out[STATES] = v + l->at[OF_COORDINATES];
-  if (groups & BIT(OF_SLIP)) out[SLIP] = v + l->at[OF_SLIP];
-  if (groups & BIT(OF_TWIST)) out[TWIST] = v + l->at[OF_TWIST];
-  if (groups & BIT(OF_POSE)) out[POSE] = pose;
-  if (groups & BIT(OF_POINTS)) out[POINTS] = v + l->at[OF_POINTS];
-  if (groups & BIT(OF_CONDITION)) out[SLIP_SPEED] = v + l->at[OF_CONDITION] + 1;
-  if (look_at(c, i, t, out)) return 1;
-  if (groups & BIT(OF_STATES)) {
-    if (moment_at(c, c->live[i].plan, t, row + K_PLACE_1)) return 1;
-    put_states(l, row, v + l->at[OF_STATES]);
-  }
-  for (int r = 0; r < 3 && out[POSE]; r++) {
-    memcpy(v + l->at[OF_POSE] + 3 * r, pose + 4 * r, 3 * sizeof *v);
-    v[l->at[OF_POSE] + 9 + r] = pose[4 * r + 3];
-  }
-  return 0;
-}
 
 static void no_values(component_t *c, long i, unsigned groups) {
   const long *at = c->model->layout[i].at;
