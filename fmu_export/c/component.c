@@ -79,8 +79,8 @@ static const char *make_component(component_t *c, const char *resources) {
 
 static void keep_state(component_t *c) { memcpy(c->before, c->own, c->own->length); }
 
-static void take_back(component_t *c) {
-  memcpy(c->own, c->before, c->own->length);
+static void go_back(component_t *c, const saved_t *to) {
+  memcpy(c->own, to, c->own->length);
   forget(c);
 }
 

@@ -177,40 +177,31 @@ static status_t check_values(component_t *c, const unsigned vr[], size_t count, 
   return OK;
 }
 
-static int settable(const component_t *c, unsigned reference) {
-  const memory_t *now = c->now;
-  const int before = INSTANTIATED | INITIALIZATION;
-  const int free = before | EVENT | (c->uses_events ? 0 : STEP);
-  switch (kind_of(c->model, reference)) {
-  case FIXED:
-    return now->phase & before;
-  /* Importers such as CasADi's set continuous states one by one. */
-  case EXACT:
-    return now->phase & (before | (now->stepping ? 0 : EVENT | CONTINUOUS));
-  case TUNABLE:
-    return now->phase & free;
-  case INPUT:
-    return now->phase & (before | EVENT | CONTINUOUS | STEP);
-  default:
-    return 0;
-  }
-}
-
 static status_t check_one(component_t *c, unsigned reference, double value) {
-  static const char *const remedy[] = {
-      [CALCULATED] =
-          "is calculated; disturb the motion by the inputs, or export with measured inputs",
-      [INDEPENDENT] = "is time; it is set by steps, or by SetTime",
-      [CONSTANT] =
-          ("is constant, as the numbers of its surface depend on each other; export a scene "
-           "with another surface"),
-      [FIXED] = "is fixed; set it before initialization ends, or reset first",
-      [TUNABLE] = "is tunable; set it in event mode",
-      [INPUT] = "is an input; set it before the simulation ends, or reset first",
-      [EXACT] = "is a start value; set it before initialization ends, or use the inputs"};
-  if (!settable(c, reference))
+  enum { BEFORE = INSTANTIATED | INITIALIZATION };
+  static const struct {
+    int phases;
+    const char *remedy;
+  } rule[] = {
+      [CALCULATED] = {0, "is calculated; disturb the motion by the inputs, or export with measured "
+                         "inputs"},
+      [INDEPENDENT] = {0, "is time; it is set by steps, or by SetTime"},
+      [CONSTANT] = {0, "is constant, as the numbers of its surface depend on each other; export a "
+                       "scene with another surface"},
+      [FIXED] = {BEFORE, "is fixed; set it before initialization ends, or reset first"},
+      [TUNABLE] = {BEFORE | EVENT | STEP, "is tunable; set it in event mode"},
+      [INPUT] = {BEFORE | EVENT | CONTINUOUS | STEP,
+                 "is an input; set it before the simulation ends, or reset first"},
+      /* importers such as CasADi's set continuous states one by one */
+      [EXACT] = {BEFORE | EVENT | CONTINUOUS,
+                 "is a start value; set it before initialization ends, or use the inputs"}};
+  const int kind = kind_of(c->model, reference);
+  int phases = rule[kind].phases;
+  if (kind == EXACT && c->now->stepping) phases = BEFORE;
+  if (kind == TUNABLE && c->uses_events) phases &= ~STEP;
+  if (!(c->now->phase & phases))
     REFUSE("%s = %.9g is refused now: it %s", name_of(c->model, reference), value,
-           remedy[kind_of(c->model, reference)]);
+           rule[kind].remedy);
   return check_value(c, reference, value);
 }
 
@@ -275,34 +266,28 @@ static void multiply(component_t *c, int transposed, const unsigned unknowns[], 
   }
 }
 
-/* Both directions: seeds go to the references `from`, products come from the references `to`. */
-static status_t products(component_t *c, int transposed, const unsigned from[], size_t n_from,
-                         const double seed[], size_t n_seed, const unsigned to[], size_t n_to,
-                         double value[], size_t n) {
+/* Transposed, the seed is of the unknowns, and products are of the knowns. */
+static status_t products(component_t *c, int transposed, const unsigned unknowns[],
+                         size_t n_unknowns, const unsigned knowns[], size_t n_knowns,
+                         const double seed[], size_t n_seed, double value[], size_t n) {
+  const unsigned *from = transposed ? unknowns : knowns, *to = transposed ? knowns : unknowns;
+  const size_t n_from = transposed ? n_unknowns : n_knowns, n_to = n_unknowns + n_knowns - n_from;
   if (check_values(c, from, n_from, seed, n_seed) || check_values(c, to, n_to, value, n))
     return FAILED;
-  for (int side = 0; side < 2; side++)
-    for (size_t k = 0; k < (side ? n_to : n_from); k++) {
-      const unsigned reference = side ? to[k] : from[k];
-      const int kind = kind_of(c->model, reference);
-      if (side != transposed && kind != CALCULATED && kind != EXACT)
-        REFUSE("%s is not an unknown; give states or calculated variables",
-               name_of(c->model, reference));
-      if (side == transposed && kind == CALCULATED)
-        REFUSE("%s is not a known; give inputs, states or parameters",
-               name_of(c->model, reference));
-    }
-  const status_t s = SYSTEM(c->now) ? OK : settle(c, "values", c->now->time);
-  if (s) return s;
-  if (transposed)
-    multiply(c, 1, from, n_from, to, n_to, seed, value, n);
-  else
-    multiply(c, 0, to, n_to, from, n_from, seed, value, n);
-  for (size_t k = 0; k < n_to; value += SIZE(c, to[k]), k++) {
-    const long wrong = without_value(c, to[k], value, SIZE(c, to[k]));
-    if (wrong < SIZE(c, to[k])) return refuse(c, to[k] + (unsigned)wrong);
+  for (size_t k = 0; k < n_unknowns; k++) {
+    const int kind = kind_of(c->model, unknowns[k]);
+    if (kind != CALCULATED && kind != EXACT)
+      REFUSE("%s is not an unknown; give states or calculated variables",
+             name_of(c->model, unknowns[k]));
   }
-  return OK;
+  for (size_t k = 0; k < n_knowns; k++)
+    if (kind_of(c->model, knowns[k]) == CALCULATED)
+      REFUSE("%s is not a known; give inputs, states or parameters", name_of(c->model, knowns[k]));
+  status_t s = SYSTEM(c->now) ? OK : settle(c, "values", c->now->time);
+  if (!s) multiply(c, transposed, unknowns, n_unknowns, knowns, n_knowns, seed, value, n);
+  for (size_t k = 0; k < n_to && !s; value += SIZE(c, to[k]), k++)
+    s = check_found(c, to[k], value, SIZE(c, to[k]));
+  return s;
 }
 
 FMI_EXPORT status_t FMI(GetDirectionalDerivative)(void *instance, const unsigned unknowns[],
@@ -310,7 +295,7 @@ FMI_EXPORT status_t FMI(GetDirectionalDerivative)(void *instance, const unsigned
                                                   size_t n_knowns, const double seed[] ROOM(n_seed),
                                                   double value[] ROOM(n)) {
   BEGIN(RUNNING);
-  return products(c, 0, knowns, n_knowns, seed, ROOM_OF(n_knowns, n_seed), unknowns, n_unknowns,
+  return products(c, 0, unknowns, n_unknowns, knowns, n_knowns, seed, ROOM_OF(n_knowns, n_seed),
                   value, ROOM_OF(n_unknowns, n));
 }
 
@@ -329,8 +314,7 @@ FMI_EXPORT status_t FMI(SetFMUState)(void *instance, void *state) {
   if (s->memory.stepping != c->now->stepping)
     REFUSE("this FMU state belongs to the other interface, %s",
            s->memory.stepping ? "Co-Simulation" : "Model Exchange");
-  memcpy(c->own, s, s->length);
-  forget(c);
+  go_back(c, s);
   if (c->now->phase == EVENT && c->now->stepping && !c->uses_events) c->now->phase = STEP;
   if (c->now->pending && !c->uses_events) enter_windows(c);
   return OK;
@@ -420,7 +404,7 @@ static void update(component_t *c, BOOLEAN *terminate, BOOLEAN *values, BOOLEAN 
                    double *next_time) {
   enter_windows(c);
   const int stepping = c->now->stepping;
-  const double next = stepping ? next_window(c) : next_edge(c);
+  const double next = next_edge(c);
   *terminate = c->now->ended && !stepping, *values = c->now->jumped && !stepping;
   *next_defined = next < HUGE_VAL, *next_time = *next_defined ? next : 0.0;
   c->now->jumped = 0;

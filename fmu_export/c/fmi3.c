@@ -113,7 +113,7 @@ FMI_EXPORT status_t FMI(GetAdjointDerivative)(void *instance, const unsigned unk
                                               size_t n_knowns, const double seed[], size_t n_seed,
                                               double value[], size_t n) {
   BEGIN(RUNNING);
-  return products(c, 1, unknowns, n_unknowns, seed, n_seed, knowns, n_knowns, value, n);
+  return products(c, 1, unknowns, n_unknowns, knowns, n_knowns, seed, n_seed, value, n);
 }
 
 /* --- events ----------------------------------------------------------------------------------- */
@@ -174,7 +174,8 @@ FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool 
   do /* across edges where the importer does not let a step end early */
     s = step(c, target);
   while (!s && c->now->pending && crosses && !reached(c->now->time, target));
-  if (s && c->now->time > *last_time) take_back(c); /* else the step has left all as it was */
+  if (s && c->now->time > *last_time)
+    go_back(c, c->before); /* else the step has left all as it was */
   *last_time = c->now->time;
   *terminate = c->now->ended || (ends && !s && reached(c->now->time, limit));
   *event = c->now->pending && !s, *early = !s && !reached(c->now->time, end);

@@ -119,19 +119,12 @@ static double edge_of(const component_t *c, long k) {
   return corner < 0 ? window_values(c, k / 2)[k % 2] : section(c->model, D_CORNERS)[corner];
 }
 
-static double next_window(const component_t *c) {
-  double next = HUGE_VAL;
-  for (long k = 0; k < n_edges(c->model); k++) {
-    const double edge = edge_of(c, k);
-    if (!reached(c->now->time, edge) && edge < next) next = edge;
-  }
-  return next;
-}
-
-/* The same, and of a system of equations where its law changes its form and where sigma ends */
+/* The next edge; of a system of equations also where its law changes its form or sigma ends */
 static double next_edge(const component_t *c) {
   const memory_t *now = c->now;
-  double next = next_window(c), turn[2 * MAX_PROFILE];
+  double next = HUGE_VAL, turn[2 * MAX_PROFILE];
+  for (long k = 0; k < n_edges(c->model); k++)
+    if (!reached(now->time, edge_of(c, k))) next = fmin(next, edge_of(c, k));
   if (now->stepping) return next;
   if (!reached(now->time, now->limit)) next = fmin(next, now->limit);
   for (long i = 0; i < c->model->n_contacts && c->model->data[D_MAKES_UP] > 0; i++) {
@@ -139,7 +132,7 @@ static double next_edge(const component_t *c) {
     const double far = fmin(now->limit, beyond_zeros(c, &leg, now->time));
     const long n = signs_of(&leg, 1, now->time, far, turn);
     for (long k = 0; k < n; k++)
-      if (!reached(now->time, turn[k]) && turn[k] < next) next = turn[k];
+      if (!reached(now->time, turn[k])) next = fmin(next, turn[k]);
   }
   return next;
 }

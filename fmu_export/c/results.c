@@ -57,20 +57,6 @@ static unsigned group_of(const component_t *c, long i, long reference) {
 /* tables divide an acceleration by 1e-300 at rest */
 #define BEYOND_VALUES 1e200
 
-/* The first of these values that there is not; count where there are all */
-static long without_value(const component_t *c, unsigned reference, const double *value,
-                          long count) {
-  const long owner = owner_of(c->model, reference);
-  long i = 0;
-  for (; i < count; i++) {
-    if (fabs(value[i]) <= BEYOND_VALUES) continue;
-    if (!(fabs(value[i]) <= DBL_MAX) ||
-        (kind_of(c->model, reference + i) == CALCULATED && rests(c, owner)))
-      break;
-  }
-  return i;
-}
-
 /* Says why there is no value. */
 static status_t refuse(component_t *c, unsigned reference) {
   const memory_t *now = c->now;
@@ -92,6 +78,18 @@ static status_t refuse(component_t *c, unsigned reference) {
                             : "ask a moment later");
 }
 
+/* Refuses the first of these values that there is not. */
+static status_t check_found(component_t *c, unsigned reference, const double *value, long count) {
+  const long owner = owner_of(c->model, reference);
+  for (long i = 0; i < count; i++) {
+    if (fabs(value[i]) <= BEYOND_VALUES) continue;
+    const unsigned r = reference + (unsigned)i;
+    if (!(fabs(value[i]) <= DBL_MAX) || (kind_of(c->model, r) == CALCULATED && rests(c, owner)))
+      return refuse(c, r);
+  }
+  return OK;
+}
+
 static status_t get_values(component_t *c, unsigned reference, long count, double *value) {
   const long i = owner_of(c->model, reference);
   if (i >= 0) {
@@ -101,8 +99,7 @@ static status_t get_values(component_t *c, unsigned reference, long count, doubl
     if (s) return s;
   }
   memcpy(value, c->value + reference, (size_t)count * sizeof *value);
-  const long wrong = without_value(c, reference, value, count);
-  return wrong == count ? OK : refuse(c, reference + (unsigned)wrong);
+  return check_found(c, reference, value, count);
 }
 
 /* ---- derivatives of all values, along up to L directions at once: in c->grows ---- */

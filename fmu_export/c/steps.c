@@ -79,7 +79,7 @@ static status_t try_start(component_t *c) {
 static status_t start(component_t *c) {
   keep_state(c);
   const status_t s = try_start(c);
-  if (s) take_back(c);
+  if (s) go_back(c, c->before);
   return s;
 }
 
@@ -100,7 +100,7 @@ static status_t step(component_t *c, double target) {
     if (pushed_at_rest(c, i)) return report(c, DISCARD, "no step to t = %.9g s: " AT_REST, target);
   const status_t s = settle(c, "step", target);
   if (s) return s;
-  const double window = next_window(c);
+  const double window = next_edge(c);
   const int edge = c->uses_events && reached(target, window);
   const double goal = edge ? window : fmin(target, now->limit);
   for (long i = 0; i < n; i++)
