@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from .checks import FLOAT, a_path, finite_number, flag, of_kind, one_of, shaped_array, whole_number
 from .errors import ChartSingularity, ContactSystemError, SceneError
-from .planning.motion import SHAPES, Buffer, Motion
+from .planning.motion import SHAPES, Motion
 from .planning.starts import Starts, measured_start, on_branch
 from .scene import Scene, acting, require_scene
 from .writing import writing
@@ -102,7 +102,7 @@ class Plan:
         given = scene, self.tolerance, start, starts
         self._motion: Any
         if method == "auto":
-            self._motion = Motion(scene, Buffer(*given))
+            self._motion = Motion(*given)
         else:
             from .planning.chart_solution import ChartMotion  # scipy, which only this method needs
 

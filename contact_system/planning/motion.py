@@ -185,8 +185,11 @@ class Motion:
     Parameters
     ----------
     scene : Scene
-    buffer : Buffer
-        Its numbers.
+    tolerance : float
+    begin : float
+        When the motion begins, s.
+    starts : Starts, optional
+        Of the contacts at that time; default: those of the scene.
 
     Raises
     ------
@@ -196,7 +199,10 @@ class Motion:
 
     _as_parameter_: int | None = None  # the plan's address: ctypes passes it for this object
 
-    def __init__(self, scene: Scene, buffer: Buffer):
+    def __init__(
+        self, scene: Scene, tolerance: float, begin: float = 0.0, starts: Starts | None = None
+    ):
+        buffer = Buffer(scene, tolerance, begin, starts)
         self.scene, self._count = scene, buffer.count
         self._surfaces = buffer.surfaces  # kept: the engine points into their tables
         addresses = [ctypes.addressof(surface.engine_data) for surface in self._surfaces]

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..checks import finite_number
 from ..errors import SceneError
-from ..planning.motion import FRAMES, Buffer, Motion
+from ..planning.motion import FRAMES, Motion
 from ..scene import Scene, require_scene
 from .goal import Goal, Route
 from .reach import TOLERANCE, reach
@@ -82,7 +82,7 @@ def loop(scene: Scene, angle: float, *, contact: int = 0, seconds: float = 0.0) 
 
 def _turns(scene: Scene, contact: int) -> tuple[float, tuple[float, float]]:
     """The change of psi, and the areas that the normals along both curves enclose."""
-    motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
+    motion = Motion(scene, TOLERANCE)
     ends: Any = motion.evaluate(np.array([0.0, scene.duration]), ("pose", FRAMES))
     first, last = ends["pose"][:, contact, :3, :3]
     p, q = ends[FRAMES][0, contact, 1, 3:9].reshape(2, 3)

@@ -22,7 +22,7 @@ from ..checks import finite_number
 from ..errors import ContactSystemError, SceneError
 from ..plan import plan
 from ..planning.explanation import SIDES
-from ..planning.motion import Buffer, Motion
+from ..planning.motion import Motion
 from ..scene import NO_CLAIMS, STILL, Leg, Scene, require_scene
 from ..scene.contact import ROLLING, all_of
 from .aim import LANES, MOST_LEGS, Aim
@@ -247,7 +247,7 @@ class _Search:
     def _planned(self, z: Array) -> tuple[Scene, Array]:
         """The scene of a path, and what the end of its plan is off the goal."""
         scene = self.alone(z)
-        motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
+        motion = Motion(scene, TOLERANCE)
         results: Any = motion.evaluate(np.array([scene.duration]), ("points", "pose"))
         return scene, self.aim.gap(results["points"][0, 0], results["pose"][0, 0])
 
