@@ -174,6 +174,8 @@ def real_array(values: Any) -> np.ndarray:
     texts, booleans, complex numbers and None, which numpy would convert, and for masked numbers,
     whose mask it would drop.
     """
+    if type(values) is np.ndarray and values.dtype is FLOAT:
+        return values
     array = np.asarray(values)
     if isinstance(values, np.ndarray) and np.any(getattr(values, "mask", False)):
         raise TypeError

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import FLOAT, a_path, finite_number, flag, of_kind, one_of, shaped_array, whole_number
+from .checks import a_path, finite_number, flag, of_kind, one_of, shaped_array, whole_number
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .planning.motion import SHAPES, Motion
 from .planning.starts import Starts, measured_start, on_branch
@@ -155,7 +155,7 @@ class Plan:
             self._require_frames("carried")
         times = _one_axis(t)
         results = self._motion.evaluate(times, names)
-        return self._motion.evaluate(self._inside(times), names) if results is None else results
+        return self._motion.evaluate(self._times(times), names) if results is None else results
 
     def states(self, t: ArrayLike, gaps: bool = False) -> np.ndarray:
         """u1 v1 u1' v1' u2 v2 u2' v2' psi: (len(t), n_contacts, 9); rad, or m where charts have it.
@@ -429,11 +429,8 @@ class Plan:
         return float(times[0])
 
     def _times(self, t: ArrayLike) -> np.ndarray:
-        return self._inside(_one_axis(t))
-
-    def _inside(self, times: np.ndarray) -> np.ndarray:
-        """The times; those outside the horizon by no more than sums of steps are, at its ends."""
-        first, last = self.start, self.end
+        """Times inside the horizon; those that rounding of steps puts outside are at its ends."""
+        times, first, last = _one_axis(t), self.start, self.end
         inside = np.clip(times, first, last)
         outside = ~(np.abs(times - inside) <= ROUNDING * last)
         if not outside.any():
@@ -464,13 +461,11 @@ def each_once(*times: ArrayLike) -> np.ndarray:
 
 
 def _one_axis(t: ArrayLike) -> np.ndarray:
-    if not (type(t) is np.ndarray and t.dtype is FLOAT):
-        t = shaped_array(
-            t, "t", None, ContactSystemError, "a time in seconds, or one axis of times"
-        )
-    if t.ndim > 1:
-        raise ContactSystemError(f"times have shape {t.shape}; give one axis of times")
-    return np.atleast_1d(t)
+    remedy = "a time in seconds, or one axis of times"
+    times = shaped_array(t, "t", error=ContactSystemError, remedy=remedy)
+    if times.ndim > 1:
+        raise ContactSystemError(f"times have shape {times.shape}; give one axis of times")
+    return np.atleast_1d(times)
 
 
 def require_plan(value: Any) -> None:
