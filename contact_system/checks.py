@@ -250,13 +250,6 @@ def items_of(values: Any) -> tuple:
     return tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else ()
 
 
-def function_or_none(value: Any, what: str, remedy: str) -> Any:
-    """The value, a function or None; raises a SceneError with the remedy for any other."""
-    if value is not None and not callable(value):
-        raise SceneError(f"{what} = {value!r:.80}: give {remedy}, or None")
-    return value
-
-
 def make_folder(path: Path, remedy: str) -> Path:
     """The folder, made if it is missing; raises a ContactSystemError with the remedy."""
     try:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from contact_system.checks import flag, function_or_none
+from contact_system.checks import flag, of_kind
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
@@ -71,7 +71,8 @@ def export_fmu(
         raise ContactSystemError(
             f"measured = {measured!r}: Co-Simulation alone goes on from a measurement; give it too"
         )
-    tell = function_or_none(progress, "progress", "a function of a text") or (lambda step: None)
+    of_kind((Callable, type(None)), progress, "progress", "a function of a text, or None")
+    tell = progress or (lambda step: None)
     table = variable_table(scene, flag(arrays, "arrays"), measured)
     text = description.model_description(table, fmi_version, interfaces)
     name = description.model_identifier(scene)

@@ -23,7 +23,7 @@ from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
 from fmpy.model_description import read_model_description
 
-from contact_system.checks import flag, function_or_none
+from contact_system.checks import flag, of_kind
 from contact_system.engine.binding import LIBRARY
 from contact_system.scene import Scene, require_scene
 
@@ -75,7 +75,8 @@ class _Slave:
         self, scene: Scene, name: str = "", logger: Logger | None = None, **described: Any
     ):
         require_scene(scene)
-        logger = function_or_none(logger, "logger", "a function of a status, a category and a text")
+        remedy = "a function of a status, a category and a text, or None"
+        of_kind((Callable, type(None)), logger, "logger", remedy)
         self.scene, self._logger, self._said = scene, logger or _log, ""
         self._folder = tempfile.TemporaryDirectory(prefix="contact-system-")
         folder, identifier = Path(self._folder.name), model_identifier(scene)
