@@ -21,7 +21,7 @@ from .engine.binding import Machine, run
 from .errors import ChartSingularity, ConformalContact, ContactSystemError
 from .scene import Scene, require_scene
 from .surfaces import SINGULAR, ParametricSurface, Surface
-from .surfaces.plane import FlatChart
+from .surfaces.plane import is_plane
 from .theory import symbols as ca
 from .theory.equations import contact_velocities, reflection, relative_curvature, solve_plane
 from .theory.geometry import number_symbols, numbers_function, upper_inverse
@@ -265,7 +265,7 @@ class _Side:
     def __init__(self, surface: Surface):
         self.size, numbers = ca.SX.sym("size"), number_symbols(surface)
         self.constants = ca.vertcat(numbers, self.size)
-        self.in_space, self.flat = surface.has_implicit, issubclass(surface.chart, FlatChart)
+        self.in_space, self.flat = surface.has_implicit, is_plane(surface)
         self.unknowns = z = ca.SX.sym("z", 3 if self.in_space else 2)
         if not self.in_space:
             at = surface.geometry_expr(numbers, z[0], z[1])

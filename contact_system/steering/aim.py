@@ -15,8 +15,7 @@ from ..engine.binding import Steer, Steered, address
 from ..errors import ChartSingularity, SceneError
 from ..planning.explanation import SIDES
 from ..scene import Contact, Scene
-from ..surfaces import Surface
-from ..surfaces.plane import FlatChart
+from ..surfaces.plane import is_plane
 from .goal import Goal
 from .shooting import Array, Follower
 
@@ -232,11 +231,6 @@ def _poses(angles: Sequence[float], *contacts: list[tuple[Array, Array]]) -> Arr
     poses = np.tile(np.eye(4), (len(contacts), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = found[:9].T.reshape(-1, 3, 3), found[9:].T
     return poses
-
-
-def is_plane(body: Surface) -> bool:
-    """Whether a body is flat and unbounded."""
-    return issubclass(body.chart, FlatChart)
 
 
 def _steerable(scene: Scene, index: int, name: str) -> Contact:

@@ -11,7 +11,8 @@ import math
 
 import numpy as np
 
-from .aim import Aim, is_plane
+from ..surfaces.plane import is_plane
+from .aim import Aim
 from .shooting import Array
 
 

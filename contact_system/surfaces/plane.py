@@ -25,6 +25,11 @@ class FlatChart(Chart):
         return x[0], x[1]
 
 
+def is_plane(body: Surface) -> bool:
+    """Whether a body is flat and unbounded."""
+    return issubclass(body.chart, FlatChart)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Plane(Surface):
     """The plane z = 0, body below; chart (u, v, 0), coordinates in m."""
