@@ -44,7 +44,7 @@ from .engine.binding import Machine, contact_table, run
 from .errors import SceneError
 from .kept import kept
 from .planning.starts import Moment, measured_start
-from .scene import SLOTS, Disturbance, Scene, Stretch, acting, refuse_rest, require_scene
+from .scene import SLOTS, Disturbance, Scene, Start, Stretch, acting, refuse_rest, require_scene
 from .scene.contact import rotated
 from .surfaces import TINY, Ellipsoid, Surface, UserSurface
 from .theory import symbols as ca
@@ -273,7 +273,7 @@ class SceneSystem:
         SceneError
             An unknown output, or arrays of other lengths than (n_x,), (n_w,), (n_held,).
         """
-        t, function = float(self._numbers("t", t)), self.function(output)
+        t, function = self._time(t), self.function(output)
         arrays = (
             self._numbers("x", x, len(self.x0)),
             self._numbers("w", self.window_values(t) if w is None else w, self.n_w),
@@ -281,12 +281,14 @@ class SceneSystem:
         )
         return function(t, *arrays, self.parameters).full().ravel()
 
+    def _time(self, t: ArrayLike) -> float:
+        what, remedy = f"{self.scene.title}: t", "a time in seconds"
+        return float(shaped_array(t, what, (), remedy=remedy))
+
     def _numbers(self, name: str, value: ArrayLike, count: int | None = None) -> Array:
-        """The value as an array of floats, (count,) if a count is given; t must be one number."""
-        what = f"{self.scene.title}: {name}"
-        if name == "t":
-            return shaped_array(value, what, (), remedy="a time in seconds")
-        return shaped_array(value, what, None if count is None else (count,))
+        """The value as an array of floats, (count,) if a count is given."""
+        shape = None if count is None else (count,)
+        return shaped_array(value, f"{self.scene.title}: {name}", shape)
 
     # --- windows and starts ----------------------------------------------------------------------
 
@@ -320,30 +322,24 @@ class SceneSystem:
             leg = self.leg_numbers(i, t)
             began, *profile = leg if len(leg) else (0.0, *self.scene.profile.coefficients)
             bodies, sigma = (contact.finger, self.scene.object), polynomial(profile, t - began)
-            places = start.finger_at, start.object_at
             if form.coordinates == "chart":
-                velocities = start.finger_velocity, start.object_velocity
-                for body, at, w in zip(bodies, places, velocities):
-                    x += [*at, *np.linalg.solve(body.metric_root(*at), sigma * np.array(w))]
-                x.append(start.angle)
+                x += _chart_state(bodies, start, sigma)
                 continue
-            w1 = rotated(math.cos(start.angle), math.sin(start.angle), start.finger_velocity)
-            if isinstance(start, Moment):
-                v, frames = np.array(start.slip), (start.finger_frame, start.object_frame)
-            else:
-                point = np.array([[0, *w1, *start.object_velocity]]).T  # psi is 0 between frames
-                v, frames = run(contact_table(START), point, ())[-2:, 0], ((), ())
-                if self.scene.gain.row.makes_up and not sigma > 0:  # lam is infinite: no slip
-                    v = np.zeros(2)
-            turns = -start.angle, 0.0
-            for body, at, frame, turn, ambient in zip(bodies, places, frames, turns, form.ambient):
-                if not ambient:
-                    x += [*at[:2], sum(at[2:], turn)]
-                else:
-                    x += _turned_frame(body, frame, turn) if frame else _first_frame(body, at, turn)
-            x += [*w1, *v] if form.forced else []
-            held += [*([] if form.forced else [*w1, *v, t - began]), *leg]
+            x += _frames(bodies, start, form.ambient)
+            carried = self._carried(start, sigma)
+            x += carried if form.forced else []
+            held += [*([] if form.forced else [*carried, t - began]), *leg]
         return np.array(x), np.array(held)
+
+    def _carried(self, start: Any, sigma: float) -> list[float]:
+        """W_1 and V of a contact that starts, along its moving frames."""
+        w1 = rotated(math.cos(start.angle), math.sin(start.angle), start.finger_velocity)
+        if isinstance(start, Moment):
+            return [*w1, *start.slip]
+        if self.scene.gain.row.makes_up and not sigma > 0:  # lam is infinite: no slip
+            return [*w1, 0.0, 0.0]
+        point = np.array([[0, *w1, *start.object_velocity]]).T  # psi is 0 between frames
+        return [*w1, *run(contact_table(START), point, ())[-2:, 0].tolist()]
 
     def leg_numbers(self, contact: int, t: float) -> Array:
         """The held numbers of the leg of a contact from time t on: its start and profile."""
@@ -413,7 +409,7 @@ class SceneSystem:
         if rows.size != 9 * n:
             where = f"{self.scene.title}, restart"
             raise SceneError(f"{where}: state has shape {rows.shape}; give {(n, 9)}")
-        t = float(self._numbers("t", t))
+        t = self._time(t)
         w = self._numbers("w", self.window_values(t) if w is None else w, self.n_w)
         offsets = w.reshape(-1, 6)[:, 4:] if self.n_w else np.zeros((n, 2))
         starts = [
@@ -454,6 +450,29 @@ def _sign(profile: list[ca.SX], t: ca.SX) -> ca.SX:
 def _consecutive(sizes: Iterable[int]) -> list[slice]:
     ends = np.cumsum([0, *sizes]).tolist()
     return [slice(a, b) for a, b in zip(ends, ends[1:])]
+
+
+def _chart_state(bodies: Sequence[Surface], start: Start, sigma: float) -> list[float]:
+    """u, v, u', v' on finger and object, and psi, of a contact that starts."""
+    x = list[float]()
+    places = start.finger_at, start.object_at
+    for body, at, w in zip(bodies, places, (start.finger_velocity, start.object_velocity)):
+        x += [*at, *np.linalg.solve(body.metric_root(*at), sigma * np.array(w))]
+    return [*x, start.angle]
+
+
+def _frames(bodies: Sequence[Surface], start: Any, ambient: Sequence[bool]) -> list[float]:
+    """The moving frames of finger and object, x, p or u, v, theta, of a contact that starts."""
+    x = list[float]()
+    known = (start.finger_frame, start.object_frame) if isinstance(start, Moment) else ((), ())
+    turns = -start.angle, 0.0  # psi = -theta_1 - theta_2
+    places = start.finger_at, start.object_at
+    for body, at, frame, turn, in_its_space in zip(bodies, places, known, turns, ambient):
+        if not in_its_space:
+            x += [*at[:2], sum(at[2:], turn)]
+        else:
+            x += _turned_frame(body, frame, turn) if frame else _first_frame(body, at, turn)
+    return x
 
 
 def _first_frame(surface: Surface, at: tuple[float, float], theta: float) -> list[float]:
