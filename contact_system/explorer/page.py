@@ -174,6 +174,10 @@ class Explorer:
                 folders[slider.folder] = gui.add_folder(slider.folder, expand_by_default=first)
             with folders[slider.folder]:
                 self._slider(slider)
+        self._add_handlers()
+
+    def _add_handlers(self) -> None:
+        """What the controls do."""
 
         @self.law.on_update
         async def _(_: Any) -> None:
