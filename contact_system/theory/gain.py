@@ -30,7 +30,6 @@ from .profile import (
     integral,
     polynomial,
     rounded,
-    rounded_product,
 )
 
 
@@ -72,7 +71,7 @@ class Law:
 
     def integrand(self, value: float, sigma: Coefficients) -> Coefficients:
         """Coefficients of value sigma^power from those of sigma, each rounded once."""
-        return rounded_product((value,), *[sigma] * self.power)
+        return rounded(exact_product((value,), *[sigma] * self.power))
 
 
 LAWS = {

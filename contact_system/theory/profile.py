@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import lru_cache, reduce
+from functools import reduce
 from itertools import zip_longest
 from operator import mul
 from typing import TYPE_CHECKING
@@ -81,12 +81,6 @@ def rounded(*terms: Exact) -> Coefficients:
     """Sum of exact polynomials, each coefficient rounded once."""
     sums = map(sum, zip_longest(*terms, fillvalue=Fraction()))
     return tuple(map(float, sums))
-
-
-@lru_cache(maxsize=64)
-def rounded_product(*factors: Coefficients) -> Coefficients:
-    """Product of polynomials, each coefficient rounded once."""
-    return rounded(exact_product(*factors))
 
 
 # --- the path profile --------------------------------------------------------------------------
