@@ -279,6 +279,11 @@ class Plan:
                 "the same"
             )
         self._require_frames("continued")
+        self._require_same_contacts(after, t, where)
+        return Plan(after, self.tolerance, self.method, self.solver, t, self.moments(t))
+
+    def _require_same_contacts(self, after: Scene, t: float, where: str) -> None:
+        """Raise a SceneError if a scene's contacts do not go on from this plan's at time t."""
         for s in (self.scene, after):
             for i, contact in enumerate(s.contacts):
                 if contact.follows:
@@ -297,7 +302,6 @@ class Plan:
                     "the same contact, on which only legs that begin after t may be others, or "
                     "continue earlier"
                 )
-        return Plan(after, self.tolerance, self.method, self.solver, t, self.moments(t))
 
     def moments(self, t: float) -> Starts:
         """Every contact as it is at time t, from which :meth:`continued` starts."""
