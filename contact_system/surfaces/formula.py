@@ -77,19 +77,29 @@ def make_formula(formula: Any, parameters: Any, letters: str) -> Formula:
     if isinstance(formula, Formula):
         return _renumbered(formula, numbers, letters, arguments, count)
     p = ca.SX.sym("p", len(numbers))
-    symbols, text = dict(zip(numbers, ca.vertsplit(p))), None
+    symbols = dict(zip(numbers, ca.vertsplit(p)))
     if callable(formula):
-        value = _trace(formula, arguments, symbols, count)
+        text, value = None, _trace(formula, arguments, symbols, count)
     else:
-        text = (formula,) if isinstance(formula, str) else formula
-        if not isinstance(text, Sequence) or len(text) != count:
-            raise SurfaceError(
-                f"{formula!r} must be a function of symbols, or {count} text(s), one for each "
-                "component"
-            )
-        text = [str(line) if type(line) in (int, float) else line for line in text]
+        text = _texts(formula, count)
         known = dict(zip(letters, ca.vertsplit(ca.vertcat(*arguments)))) | symbols
         value = ca.vertcat(*(ca.SX(parse(line, known)) for line in text))
+    function = _checked_function(p, arguments, value)
+    return Formula(function.serialize(), tuple(numbers), tuple(numbers.values()), text)
+
+
+def _texts(formula: Any, count: int) -> tuple[Any, ...]:
+    """The lines of a formula, one for each component; a line may be a number."""
+    lines = (formula,) if isinstance(formula, str) else formula
+    if not isinstance(lines, Sequence) or len(lines) != count:
+        raise SurfaceError(
+            f"{formula!r} must be a function of symbols, or {count} text(s), one for each component"
+        )
+    return tuple(str(line) if type(line) in (int, float) else line for line in lines)
+
+
+def _checked_function(p: ca.SX, arguments: list[ca.SX], value: ca.SX) -> ca.Function:
+    """The function (parameters, *arguments) -> value, if it can be that of a surface."""
     inputs = ca.vertcat(p, *arguments)
     unknown = [symbol.name() for symbol in ca.symvar(value) if not ca.depends_on(inputs, symbol)]
     if unknown:
@@ -108,12 +118,7 @@ def make_formula(formula: Any, parameters: Any, letters: str) -> Formula:
     for argument in arguments:
         if not ca.depends_on(value, argument):
             raise SurfaceError(f"the formula does not depend on {argument}, as a surface must")
-    return Formula(
-        function.serialize(),
-        tuple(numbers),
-        tuple(numbers.values()),
-        None if text is None else tuple(text),
-    )
+    return function
 
 
 def _named(parameters: Any, letters: str) -> dict[str, float]:
