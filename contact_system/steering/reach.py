@@ -7,7 +7,6 @@ damped Gauss-Newton method with exact derivatives, from many starts at once.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
 import math
 import random
@@ -141,7 +140,6 @@ def _length(z: Array) -> float:
     return float(np.abs(z[len(z) // 2 :]).sum())
 
 
-@functools.cache
 def _starts(n: int, batch: int) -> Array:
     """Random directions of n legs, and lengths from 0.5 to 3, of 16 paths: (2 n, 16)."""
     rng = random.Random(f"{n} {batch}")  # numpy's takes 9 ms to import
@@ -202,7 +200,7 @@ class _Search:
     def _routes(self, n: int, batch: int, longer: float = 1.0) -> Iterator[_Route]:
         """Routes of n legs, longer by a factor, from 16 random starts, the shortest first."""
         aim = self.aim
-        z = _starts(n, batch).copy()
+        z = _starts(n, batch)
         z[n:] = longer * 0.5 ** (batch % 4) * aim.unit * z[n:] + aim.far / n
         z, off, _ = aim.search(z, min(COARSE, 0.1 * self.near), self.near)
         self.nearest = min(self.nearest, float(off.min()))
