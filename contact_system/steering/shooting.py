@@ -83,6 +83,7 @@ class Search:
 
     def __init__(self, pairs: Pairs):
         self.pairs, self.follow, self.surface = pairs, pairs.follow, pairs.surface
+        self.spent = np.zeros(len(pairs.chord), int)  # strips of each pair, of the fan at work
         farthest = float(pairs.chord.max(initial=0.0))
         if farthest > MOST_SIZES * self.surface.size:
             raise SurfaceError(
@@ -180,15 +181,17 @@ class Search:
             field[active] = j
             done = sharp & (off[active] <= 0.02 * MET * size * grown)
             goes_on = np.isfinite(away) & ~done
-            left = away * grown / size
-            last = (left <= 3e-5) | (away <= MET * size * grown)  # as near as rounding allows
-            tolerance = np.where(last, SHARP, np.maximum(FINE / grown, SHARP))
-            coarse = np.maximum(ROUGH / grown, SHARP)
-            tolerance = np.where(last | (left <= 0.02), tolerance, coarse)[goes_on]
-            active = active[goes_on]
+            active, tolerance = active[goes_on], self.next_tolerance(away, grown)[goes_on]
             if not len(active):
                 break
         return phi, s, off <= MET * size * self.growth(field), field
+
+    def next_tolerance(self, away: Array, grown: Array) -> Array:
+        """Errors of the next step of geodesics: the less, the nearer they have come to b."""
+        left = away * grown / self.surface.size
+        last = (left <= 3e-5) | (away <= MET * self.surface.size * grown)  # rounding allows no more
+        fine, rough = (np.maximum(error / grown, SHARP) for error in (FINE, ROUGH))
+        return np.where(last, SHARP, np.where(left <= 0.02, fine, rough))
 
     def growth(self, field: Array) -> Array:
         """Growth of errors along geodesics with J = ``field`` at the end."""
@@ -203,7 +206,7 @@ class Search:
         # off the axes of symmetry, where rays would meet poles of charts
         angles = 2 * math.pi * (np.arange(RAYS) + 0.137) / RAYS
         phi, width = np.tile(angles, len(which)), np.full(RAYS * len(which), 2 * math.pi / RAYS)
-        self.spent = np.zeros(len(self.pairs.chord), int)  # strips of each pair
+        self.spent[:] = 0
         found = self.sift(np.repeat(which, RAYS), np.repeat(reach, RAYS), phi, width)
         # rays have no sample close to a: the chord finds b there
         direct = which, *self.chords(which), reach
