@@ -12,7 +12,6 @@ import unicodedata
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from ..checks import finite_number, of_kind, one_of
 from ..errors import SurfaceError
 from ..expressions import FUNCTIONS, parse
 from ..theory import symbols as ca
-from ..theory.symbols import MOST_KEPT, hearing_ctrl_c
+from ..theory.symbols import hearing_ctrl_c
 
 
 @dataclass(frozen=True, repr=False)
@@ -41,8 +40,12 @@ class Formula:
         """The values by name."""
         return dict(zip(self.names, self.values))
 
+    def function(self) -> ca.Function:
+        """The function of (named parameters, *variables)."""
+        return ca.Function.deserialize(self.code)
+
     def __call__(self, p: ca.SX, *variables: ca.SX) -> ca.SX:
-        return _restore(self.code)(p, *variables)
+        return self.function()(p, *variables)
 
     def __repr__(self) -> str:
         """The formula and its parameters, as arguments of a surface; a function by its digest."""
@@ -52,11 +55,6 @@ class Formula:
 
             text = f"<function {hashlib.sha256(self.code.encode()).hexdigest()[:12]}>"
         return f"{text}, parameters={self.named}" if self.names else text
-
-
-@lru_cache(maxsize=MOST_KEPT)
-def _restore(code: str) -> ca.Function:
-    return ca.Function.deserialize(code)
 
 
 def make_formula(formula: Any, parameters: Any, letters: str) -> Formula:
@@ -144,7 +142,7 @@ def _renumbered(
     formula: Formula, numbers: dict[str, float], letters: str, arguments: list[ca.SX], count: int
 ) -> Formula:
     """Return the formula with other values; raise if it is one of another kind of surface."""
-    function = _restore(formula.code)
+    function = formula.function()
     if (function.n_in(), function.numel_out(0)) != (1 + len(arguments), count):
         raise SurfaceError(
             f"formula = {formula!r} is that of another kind of surface; give "
