@@ -21,9 +21,10 @@ to 2 kB."""
 EVALUATIONS = 120_000
 """Evaluations of the chart equations in a plan of ``method="chart"``: 10 us each, up to 100 us more
 with an implicit solver."""
-STRIPS = 50_000
+STRIPS = 10_000
 """Strips between neighbouring directions that a search for geodesics from one point looks at; each
-takes up to 1.5 ms. They are many where the least radius of curvature is tiny."""
+takes up to 5 ms. They are many where the least radius of curvature is tiny, or on a surface with
+many waves between the points."""
 PLAN_BYTES = 5e7
 """Unpacked size of a saved plan's restart data."""
 FMU_BYTES = 2e9

@@ -83,7 +83,7 @@ class Search:
 
     def __init__(self, pairs: Pairs):
         self.pairs, self.follow, self.surface = pairs, pairs.follow, pairs.surface
-        self.spent = np.zeros(len(pairs.chord), int)  # strips of each pair, of the fan at work
+        self.spent = np.zeros(len(pairs.chord), int)  # strips of each pair
         farthest = float(pairs.chord.max(initial=0.0))
         if farthest > MOST_SIZES * self.surface.size:
             raise SurfaceError(
@@ -206,7 +206,6 @@ class Search:
         # off the axes of symmetry, where rays would meet poles of charts
         angles = 2 * math.pi * (np.arange(RAYS) + 0.137) / RAYS
         phi, width = np.tile(angles, len(which)), np.full(RAYS * len(which), 2 * math.pi / RAYS)
-        self.spent[:] = 0
         found = self.sift(np.repeat(which, RAYS), np.repeat(reach, RAYS), phi, width)
         # rays have no sample close to a: the chord finds b there
         direct = which, *self.chords(which), reach
