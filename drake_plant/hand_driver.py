@@ -113,17 +113,18 @@ class HandDriver(LeafSystem):
         q, v = x[self._at_q], x[self._sizes[0] :][self._at_v]
         time, (first, last) = context.get_time(), self.plan.t[[0, -1]]
         inside = min(max(time, first), last)
-        # before the first and after the last all rests
         q_d, v_d, a_d = (self._motion(inside, k) for k in range(3))
-        if not first < time < last:
+        forces, normals = self._pressing(inside)
+        if not first < time < last:  # all rests
             v_d = a_d = np.zeros(len(q_d))
+            forces = self.plan.resting[int(time >= last)]
         turn, shift = np.split(context.get_discrete_state_vector().value(), 2)
         R_WO = self._poses.Eval(context)[self._object].rotation().matrix()
         given = laws.x
         given["slip"][:] = 0.0
         if self._sliding.HasValue(context):
             given["slip"][:] = self._sliding.Eval(context).reshape(-1, 3) @ R_WO.T
-        given["contact_force"][:], given["normal"][:] = self._pressing(inside)
+        given["contact_force"][:], given["normal"][:] = forces, normals
         given["arm"][:] = self._radii * given["normal"]
         place = self.plan.wanted(time).translation()
         chains.put(q_d, v_d)

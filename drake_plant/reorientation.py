@@ -87,6 +87,8 @@ class Reorientation:
         Contact points on finger and object, each in its body's frame.
     normals, forces : (m, n, 3)
         Normals into the object and forces on it, in the world.
+    resting : (2, n, 3)
+        Forces before and after the path, where the object rests.
     states : (m, n, 9)
         As :meth:`contact_system.Plan.states` has them.
     slip, spin : (m, n)
@@ -111,6 +113,7 @@ class Reorientation:
     points: Array
     normals: Array
     forces: Array
+    resting: Array
     states: Array
     slip: Array
     spin: Array
@@ -302,10 +305,16 @@ def _planned(
         np.einsum("mij,mnj->mni", R, part) for part in (-found[..., NORMAL], points[:, :, 1])
     )
     down = np.array([0, 0, -config.gravity])
-    wrench = needed_wrench(inertia, down, R, V[:, :3], A[:, :3], A[:, 3:])
-    wanted = [np.einsum("mij,mj->mi", R, part) for part in wrench]
     mu, margin = config.friction, config.friction_share
-    forces = balancing_forces(arms, normals, mu, *wanted, margin=margin, least=least, t=t)
+
+    def pressing(k: Any, V: Array, A: Array) -> Array:
+        """Forces that move the object so at the times of numbers k."""
+        wrench = needed_wrench(inertia, down, R[k], V[:, :3], A[:, :3], A[:, 3:])
+        wanted = [np.einsum("mij,mj->mi", R[k], part) for part in wrench]
+        contacts = arms[k], normals[k], mu
+        return balancing_forces(*contacts, *wanted, margin=margin, least=least, t=t[k])
+
+    forces = pressing(slice(None), V, A)
     a = CubicHermiteSpline(t, q, v).derivative(2)(t)
     return Reorientation(
         hand=config.hand,
@@ -322,6 +331,7 @@ def _planned(
         points=points,
         normals=normals,
         forces=forces,
+        resting=pressing([0, -1], *np.zeros((2, 2, 6))),
         states=states,
         slip=np.linalg.norm(found[..., SLIP], axis=-1),
         spin=found[..., FOUND],

@@ -249,7 +249,12 @@ def _hand_planned(plan: Reorientation, t: Array) -> dict[str, Array]:
         "normal_force": np.einsum("mij,mij->mi", plan.forces, plan.normals),
         "friction_used": plan.cones,
     }
-    return {key: make_interp_spline(plan.t, x, k=1)(inside) for key, x in planned.items()}
+    found = {key: make_interp_spline(plan.t, x, k=1)(inside) for key, x in planned.items()}
+    for k, rests in enumerate((t <= plan.t[0], t >= plan.t[-1])):
+        forces, normals = plan.resting[k], plan.normals[-k]
+        found["normal_force"][rests] = np.sum(forces * normals, axis=-1)
+        found["friction_used"][rests] = friction_used(forces, normals, plan.config.friction)
+    return found
 
 
 Asked = dict[str, Callable[[], Any]]

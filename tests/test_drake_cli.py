@@ -128,11 +128,7 @@ def test_time_off_the_object_is_that_of_all_steps_that_end_there():
 @pytest.mark.parametrize(
     ("changes", "verdict", "words"),
     [
-        (
-            {},
-            "as reported",
-            "turned by 6.1|0.2 as reported|saturates at finger 1; its peak is 0.5",
-        ),
+        ({}, "as reported", "turned by 6.1|0.2 as reported|saturates at finger 1; its peak is 0.5"),
         ({"gravity": 9.81, "forces": "constant"}, "not kept", "moved by 1.75 m|It falls: 0% of"),
         ({"gravity": 9.81, "object": "welded"}, "as reported", "The object moved by 0 m"),
         ({"normal_force": 0.1}, "came off", "finger 1 was off the object for 0.1"),

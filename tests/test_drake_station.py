@@ -306,13 +306,8 @@ def two_spheres():
     """Spheres of 0.04 and 0.01 m that roll on one of 0.1 m."""
     at = ((0.04, (1.0, 0.2)), (0.01, (2.0, 2.0)))
     contacts = [cs.Contact(cs.Sphere(radius), place) for radius, place in at]
-    return cs.Scene(
-        object=cs.Sphere(0.1),
-        contacts=contacts,
-        profile=cs.Profile([0.2]),
-        duration=1.0,
-        name="two",
-    )
+    ball, profile = cs.Sphere(0.1), cs.Profile([0.2])
+    return cs.Scene(object=ball, contacts=contacts, profile=profile, duration=1.0, name="two")
 
 
 @pytest.mark.parametrize(

@@ -138,19 +138,21 @@ def test_a_path_of_drake_is_followed(joints):
         plan_reorientation(Hand(), H2.replace(duration=3.0), path=path)
 
 
-def test_an_object_heavier_than_planned_rests_where_a_path_of_ones_own_ends():
-    turned = RigidTransform(RotationMatrix.MakeZRotation(0.2))
-    path = PiecewisePose.MakeLinear([0.0, 1.0], [RigidTransform(), turned])
+@pytest.mark.parametrize(("part", "before"), [(1.0, 2e-6), (1.3, 1e-3)])
+def test_an_object_heavier_than_planned_rests_before_and_after_a_path_of_ones_own(part, before):
+    ends = [RigidTransform(), RigidTransform(RotationMatrix.MakeZRotation(0.06), [0, 0, 0.01])]
+    path = PiecewisePose.MakeCubicLinearWithEndLinearVelocity([0.0, 0.3], ends)
     names = {name: getattr(path, name) for name in ("GetPose", "GetVelocity", "GetAcceleration")}
     own = SimpleNamespace(start_time=lambda: 0.1, end_time=lambda: 0.2, **names)
     scene = H2.replace(drake={**H2.drake, "contact_model": "point"})
     plan = plan_reorientation(Hand(), scene, path=own)
-    heavier = dataclasses.replace(plan.config, object_mass=1.3 * plan.config.object_mass)
+    heavier = dataclasses.replace(plan.config, object_mass=part * plan.config.object_mass)
     result = simulate_hand(dataclasses.replace(plan, config=heavier), 0.8)
-    poses = result.object_pose
+    poses, told = result.object_pose, hand_report(result)
     np.testing.assert_allclose(poses[[0, -1]], plan.object_pose[[0, -1]], atol=1e-4)
     np.testing.assert_allclose(result.q[-1], plan.q[-1], atol=0.02)
-    assert hand_report(result).turned_off[result.t > 0.25].max() < math.radians(0.1)
+    assert told.turned_off[result.t > 0.25].max() < math.radians(0.1)
+    assert told.off[result.t < 0.1].max() < before
 
 
 def test_slip_of_a_pushed_finger_is_fed_back():
