@@ -18,6 +18,7 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
 from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
+from contact_system import SceneError
 from contact_system.checks import Array
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
@@ -33,6 +34,7 @@ from .tip_law import CONSTANT, TIP, WANTED, tip_constants, tip_wrench
 
 POSTURE = 30.0  # 1/s, omega
 CORRECTION = 8.0  # 1/s, of what the object is off its path
+AWAY = 1e-3  # rad or m, of joints that are not where a simulation begins
 
 HELD = {**TIP, "slip": 3, **WANTED}
 """What the law of a tip on joints is made of."""
@@ -73,6 +75,11 @@ class HandDriver(LeafSystem):
     plan : Reorientation
     scene_plant : ScenePlant
         Made from the plan's scene and configuration, whose gains are those at the tip.
+
+    Raises
+    ------
+    SceneError
+        A simulation that begins after the start with joints that are where they are at the start.
     """
 
     __slots__ = NO_DICTIONARY
@@ -104,8 +111,21 @@ class HandDriver(LeafSystem):
         self.DeclareVectorOutputPort(
             "generalized_force", self._sizes[1], weakly(self._CalcForce), {law}
         )
+        self.DeclareInitializationPublishEvent(weakly(self._Begin))
         self.DeclareDiscreteState(6)
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._step, 0.0, weakly(self._Correct))
+
+    def _Begin(self, context: Context) -> None:
+        """Refuse a time set by itself: SetDefaultContext leaves it alone."""
+        time, (first, last) = context.get_time(), self.plan.t[[0, -1]]
+        q, start = self._state.Eval(context)[self._at_q], self.plan.q[0]
+        off = np.abs(self._motion(np.clip(time, first, last)) - start).max()
+        if off > AWAY and (q == start).all():
+            raise SceneError(
+                f"{self.plan.scene.title}: the simulation begins at t = {time:g} s with joints as "
+                f"planned at 0 s, off by up to {off:.2g} rad or m: set the time to 0, or the state "
+                "of the plant to that of the plan at that time"
+            )
 
     def _CalcLaw(self, context: Context) -> Array:
         """Torques of the joints, and what pushes on the tips are to them, (2, nq)."""

@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("pydrake", reason="Drake is an extra: pip install .[drake]")
 
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.analysis import Simulator
 from pydrake.trajectories import PiecewisePose
 
 import contact_system as cs
@@ -19,6 +20,7 @@ from drake_plant import Hand, StationConfig, hand_report, plan_reorientation, si
 from drake_plant.hand import own_hand
 from drake_plant.measures import object_report
 from drake_plant.simulation import simulate_hand
+from drake_plant.station import BuildHandStation
 
 H2 = cs.load_scene("H2")
 
@@ -153,6 +155,10 @@ def test_an_object_heavier_than_planned_rests_before_and_after_a_path_of_ones_ow
     np.testing.assert_allclose(result.q[-1], plan.q[-1], atol=0.02)
     assert told.turned_off[result.t > 0.25].max() < math.radians(0.1)
     assert told.off[result.t < 0.1].max() < before
+    simulator = Simulator(BuildHandStation(plan)[0])
+    simulator.get_mutable_context().SetTime(0.5)
+    with pytest.raises(cs.SceneError, match="begins at t = 0.5 s with joints as planned at 0 s"):
+        simulator.Initialize()
 
 
 def test_slip_of_a_pushed_finger_is_fed_back():
