@@ -15,6 +15,7 @@ from contact_system.checks import (
     flag,
     known_keys,
     naming,
+    of_kind,
     one_of,
 )
 from contact_system.scene import require_scene
@@ -41,12 +42,6 @@ ABOVE_0 = {  # of other numbers none is below 0
 }
 HANDS_ONLY = ("turn", "move")
 TIPS_ONLY = ("object_rate", "coordinates", "disturbance_input", *RESTARTS)  # that are free
-
-
-def require_config(config: Any, kind: type, name: str = "config") -> None:
-    """Raise a SceneError where something of another kind is given."""
-    if not isinstance(config, kind):
-        raise SceneError(f"{name} = {config!r}: give a {kind.__name__}")
 
 
 @dataclass
@@ -102,7 +97,7 @@ def check_pushes(scene: Scene, pushes: Sequence[Push]) -> None:
     require_scene(scene)
     for k, push in enumerate(pushes):
         with naming(f"pushes[{k}]"):
-            require_config(push, Push, "push")
+            of_kind(Push, push, "push", "a Push")
             push.check(scene)
 
 
@@ -280,8 +275,7 @@ class StationConfig:
 
     def _check_hand(self, scene: Scene) -> None:
         """Refuse what a hand cannot do, and what does nothing with one, or without."""
-        if not isinstance(self.turn, (list, tuple)):
-            raise SceneError(f"turn = {self.turn!r}: give lists of three numbers, degrees")
+        of_kind((list, tuple), self.turn, "turn", "lists of three numbers, degrees")
         _three_numbers(self.move, "move")
         for k, turn in enumerate(self.turn):
             _three_numbers(turn, f"turn[{k}]")
@@ -292,7 +286,7 @@ class StationConfig:
                 raise SceneError(f"{key} = {value!r}: it does nothing {which} a hand; leave it out")
         if self.hand is None:
             return
-        require_config(self.hand, Hand, "hand")
+        of_kind(Hand, self.hand, "hand", "a Hand")
         self.hand.check(len(scene.contacts))
         if self.object != "free" or not self.time_step:
             raise SceneError('hand: it needs object = "free" and a time_step above 0')
@@ -335,8 +329,7 @@ class StationConfig:
             config = cls(**table)
             if config.hand is not None:
                 config.hand = _made(Hand, config.hand, "hand")
-            if not isinstance(config.pushes, Sequence) or isinstance(config.pushes, str):
-                raise SceneError(f"pushes = {config.pushes!r}: give a list of tables")
+            of_kind((list, tuple), config.pushes, "pushes", "a list of tables")
             config.pushes = [
                 _made(Push, push, f"pushes[{k}]") for k, push in enumerate(config.pushes)
             ]
@@ -350,7 +343,7 @@ def checked(scene: Scene, config: StationConfig | None, what: str) -> StationCon
     if config is None:
         return StationConfig.from_scene(scene)
     with naming(f"{scene.title}, {what}"):
-        require_config(config, StationConfig)
+        of_kind(StationConfig, config, "config", "a StationConfig")
         config.check(scene)
     return config
 
@@ -360,7 +353,6 @@ def _made(kind: Any, given: Any, name: str) -> Any:
     if isinstance(given, kind):
         return given
     keys = [f.name for f in dataclasses.fields(kind)]
-    if not isinstance(given, dict):
-        raise SceneError(f"{name} = {given!r}: give a table with {', '.join(keys)}")
+    of_kind(dict, given, name, f"a table with {', '.join(keys)}")
     known_keys(given, keys, f"{name}: ")
     return kind(**given)

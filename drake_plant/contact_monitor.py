@@ -45,7 +45,7 @@ from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from contact_system import Plane, Scene, SceneError, Surface
-from contact_system.checks import Array
+from contact_system.checks import Array, of_kind
 from contact_system.contact_sensor import GAP, ON_FINGER, ON_OBJECT, SLIP, STATES, ContactSensor
 from contact_system.scene import require_scene
 from contact_system.scene.contact import rolled
@@ -53,7 +53,6 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
-from .config import require_config
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs
 from .pressing import alike
@@ -159,7 +158,7 @@ class ContactMonitor(LeafSystem):
     def __init__(self, scene: Scene, scene_plant: ScenePlant):
         super().__init__()
         require_scene(scene)
-        require_config(scene_plant, ScenePlant, "scene_plant")
+        of_kind(ScenePlant, scene_plant, "scene_plant", "a ScenePlant")
         n = len(scene.contacts)
         if not alike(scene, scene_plant.scene, scene_plant.config):
             raise SceneError(

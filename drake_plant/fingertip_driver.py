@@ -27,13 +27,12 @@ from pydrake.multibody.tree import BodyIndex, world_index
 from pydrake.systems.framework import Context, LeafSystem
 
 from contact_system import Scene, SceneError
-from contact_system.checks import Array
+from contact_system.checks import Array, of_kind
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
 from .balance import needed_wrench
-from .config import require_config
 from .lifetimes import NO_DICTIONARY, weakly
 from .planner_base import MOTION
 from .plant import ScenePlant, declare_plant_inputs, gravity_on
@@ -137,7 +136,7 @@ class FingertipDriver(LeafSystem):
 
     def __init__(self, scene_plant: ScenePlant):
         super().__init__()
-        require_config(scene_plant, ScenePlant, "scene_plant")
+        of_kind(ScenePlant, scene_plant, "scene_plant", "a ScenePlant")
         fingers, plant, body = scene_plant.finger_bodies, scene_plant.plant, scene_plant.object_body
         # What the plant is made from; the plant itself would keep this system for ever.
         self.scene, self.config = scene_plant.scene, scene_plant.config

@@ -8,10 +8,10 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from contact_system.checks import Array
+from contact_system.checks import Array, of_kind
 
 from .balance import balancing_forces, friction_used, needed_wrench, way_to
-from .config import StationConfig, require_config
+from .config import StationConfig
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs, gravity_on
 
@@ -54,7 +54,7 @@ class ForceBalancer(LeafSystem):
 
     def __init__(self, scene_plant: ScenePlant, least: float = 0.0):
         super().__init__()
-        require_config(scene_plant, ScenePlant, "scene_plant")
+        of_kind(ScenePlant, scene_plant, "scene_plant", "a ScenePlant")
         plant, body, config = scene_plant.plant, scene_plant.object_body, scene_plant.config
         n = len(scene_plant.finger_bodies)
         self._least, self._index = least, int(body.index())

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from contact_system import SceneError
-from contact_system.checks import finite_number, finite_numbers
+from contact_system.checks import finite_number, finite_numbers, of_kind
 
 
 class Part(NamedTuple):
@@ -78,8 +78,7 @@ class Hand:
         if len(finite_numbers(self.base, "hand: base")) != 3:
             raise SceneError(f"hand: base = {self.base!r}: give three numbers, m")
         finite_number(self.pad, "hand: pad", "above 0")
-        if isinstance(self.tips, str) or not isinstance(self.tips, Sequence):
-            raise SceneError(f"hand: tips = {self.tips!r}: give a list of the model's frames")
+        of_kind((list, tuple), self.tips, "hand: tips", "a list of the model's frames")
         wanted = contacts if self.model else 0
         if len(self.tips) != wanted:
             raise SceneError(

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from contact_system import Scene, plan
-from contact_system.checks import Array
+from contact_system.checks import Array, of_kind
 from contact_system.measures import REJECTED, windows
 
-from .config import Push, body_names, require_config
+from .config import Push, body_names
 from .contact_monitor import SATURATED
 from .simulation import CONTINUOUS, NEAR, HandResult, SimulationResult, simulate
 
@@ -245,7 +245,7 @@ def outcome(scene: Scene, duration: float | None = None) -> dict[str, Array]:
 
 def object_report(result: SimulationResult) -> ObjectReport:
     """How far the object moved and turned, and whether it falls."""
-    require_config(result, SimulationResult, "result")
+    of_kind(SimulationResult, result, "result", "a SimulationResult")
     poses = result.object_pose
     path = poses[:, :3, 3] - poses[0, :3, 3]
     config, carried = result.config, math.nan
@@ -274,7 +274,7 @@ def _acceleration(result: SimulationResult) -> float:
 
 def push_table(result: SimulationResult) -> list[PushReport]:
     """What each push of a simulation did, in the order of time."""
-    require_config(result, SimulationResult, "result")
+    of_kind(SimulationResult, result, "result", "a SimulationResult")
     pushes = sorted(result.config.pushes, key=lambda push: push.start)
     names = body_names(result.scene)
     apart = np.linalg.norm(misses(result), axis=2)
@@ -303,7 +303,7 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
     list of ContactReport
         In the scene's order.
     """
-    require_config(result, SimulationResult, "result")
+    of_kind(SimulationResult, result, "result", "a SimulationResult")
     planned, t = plan(result.scene), result.t  # the plan knows the windows of every contact
     disturbed = [windows(planned, i) for i in range(len(result.scene.contacts))]
     pushes = [(push.start, push.stop) for push in result.config.pushes]
@@ -328,7 +328,7 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
 
 def hand_report(result: HandResult) -> HandReport:
     """Measure what a hand did."""
-    require_config(result, HandResult, "result")
+    of_kind(HandResult, result, "result", "a HandResult")
     plan, chains, t = result.plan, result.plan.chains, result.t
     X, wanted = result.object_pose, result.wanted_pose
     pushed = np.zeros(len(t), bool)

@@ -69,12 +69,12 @@ from contact_system import (
     Torus,
     Turning,
 )
-from contact_system.checks import Array
+from contact_system.checks import Array, of_kind
 from contact_system.errors import ContactSystemError
 from contact_system.plots.style import BODY, colour_of
 from contact_system.scene import require_scene
 
-from .config import EDGES, StationConfig, checked, require_config
+from .config import EDGES, StationConfig, checked
 from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
 from .hand_kinematics import add_hand
 from .meshes import Domain, SurfaceMesh, contact_mesh, domain_of
@@ -157,11 +157,11 @@ class ScenePlant:
 
     def __post_init__(self) -> None:
         require_scene(self.scene)
-        require_config(self.config, StationConfig)
-        require_config(self.plant, MultibodyPlant, "plant")
+        of_kind(StationConfig, self.config, "config", "a StationConfig")
+        of_kind(MultibodyPlant, self.plant, "plant", "a MultibodyPlant")
         wanted, given = len(self.scene.contacts), len(self.finger_bodies)
         for body in (self.object_body, *self.finger_bodies):
-            require_config(body, RigidBody, "body")
+            of_kind(RigidBody, body, "body", "a RigidBody")
             if body.GetParentPlant() is not self.plant:
                 raise SceneError(f"body = {body!r}: it is another plant's; give one of this plant")
         if not self.plant.is_finalized():
@@ -197,7 +197,7 @@ def AddScenePlant(
         A value of the configuration, a surface that Drake's contact cannot take, or a builder that
         has a system "plant", "scene_graph" or "turning" already, with the remedy.
     """
-    require_config(builder, DiagramBuilder, "builder")
+    of_kind(DiagramBuilder, builder, "builder", "a DiagramBuilder")
     config = checked(scene, config, "plant")
     try:
         _check_names(builder, config)

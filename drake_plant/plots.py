@@ -14,14 +14,13 @@ import numpy as np
 from scipy.ndimage import correlate1d
 
 from contact_system import Plan, plan
-from contact_system.checks import Array
+from contact_system.checks import Array, of_kind
 from contact_system.plots import Picture, contact_keys, draw_title, shade_windows
 from contact_system.plots.bodies import best_view, draw_body, is_hidden
 from contact_system.plots.curves import curve_of
 from contact_system.plots.meshes import mesh_of
 from contact_system.plots.style import DISTURBED, INK, RECOVERY, colour_of
 
-from .config import require_config
 from .measures import hand_report, misses, path_slid
 from .simulation import HandResult, SimulationResult
 
@@ -54,7 +53,7 @@ def plot(
     MissingMatplotlib
         If it is not installed.
     """
-    require_config(result, SimulationResult, "result")
+    of_kind(SimulationResult, result, "result", "a SimulationResult")
     planned = plan(result.scene)
     with Picture(path, (13, 9), dpi) as figure:
         left, right = figure.subfigures(1, 2, width_ratios=(1, 1.15))

@@ -19,11 +19,11 @@ from scipy.spatial.transform import Rotation
 
 from contact_system import Ellipsoid, Goal, Scene, SceneError, Sphere, reach
 from contact_system import plan as make_plan
-from contact_system.checks import Array, naming, rigid_motion, shaped_array
+from contact_system.checks import Array, naming, of_kind, rigid_motion, shaped_array
 from contact_system.contact_sensor import FOUND, NORMAL, ON_FINGER, ON_OBJECT, SLIP, STATES
 
 from .balance import balancing_forces, friction_used, needed_wrench
-from .config import StationConfig, require_config
+from .config import StationConfig
 from .hand import Hand
 from .hand_kinematics import Chains
 from .plant import AddScenePlant, solid_inertia
@@ -173,10 +173,10 @@ def plan_reorientation(
         or slips as joints cannot follow; forces that nothing balances, with the wrench that is
         left; a torque beyond its limit; a path that ends after the scene.
     """
-    require_config(hand, Hand, "hand")
+    of_kind(Hand, hand, "hand", "a Hand")
     if config is None:
         config = StationConfig.from_scene(scene, hand=hand)
-    require_config(config, StationConfig)
+    of_kind(StationConfig, config, "config", "a StationConfig")
     if path is not None and not hasattr(path, "GetAcceleration"):
         raise SceneError(f"{scene.title}: path = {path!r:.80}: give a PiecewisePose")
     if path is not None and X_WO_goal is not None:

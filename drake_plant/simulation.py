@@ -18,12 +18,12 @@ from pydrake.systems.framework import Context, Diagram, EventStatus
 from scipy.interpolate import make_interp_spline
 
 from contact_system import ContactSystemError, Scene, SceneError, plan
-from contact_system.checks import Array, a_path, finite_number
+from contact_system.checks import Array, a_path, finite_number, of_kind
 from contact_system.scene import scene_to_toml
 from contact_system.writing import writing
 
 from .balance import friction_used
-from .config import StationConfig, checked, require_config
+from .config import StationConfig, checked
 from .contact_monitor import COLUMNS
 from .hand_kinematics import moving_joints
 from .plant import ScenePlant
@@ -209,7 +209,7 @@ def simulate_hand(
     recording: str | Path | None = None,
 ) -> HandResult:
     """Simulate a plan from its start: see :func:`simulate`."""
-    require_config(plan, Reorientation, "plan")
+    of_kind(Reorientation, plan, "plan", "a Reorientation")
     duration, _ = _lasting(plan.scene, plan.config, duration)
     run = Run(plan.scene, plan.config, partial(BuildHandStation, plan), recording)
     driver, plant = run.station.GetSubsystemByName("driver"), run.parts.plant

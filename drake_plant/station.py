@@ -24,10 +24,10 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
-from contact_system.checks import Array, finite_number
+from contact_system.checks import Array, finite_number, of_kind
 
 from .balance import pressed_config
-from .config import Push, StationConfig, body_names, check_pushes, checked, require_config
+from .config import Push, StationConfig, body_names, check_pushes, checked
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import FingertipDriver
 from .force_balancer import COLUMNS, ForceBalancer
@@ -151,7 +151,7 @@ def BuildHandStation(
     The systems are named "plant", "scene_graph", "driver", "monitor", and "push" where there are
     pushes; else the driver's port is exported as `push`. The plant's default state is the start.
     """
-    require_config(plan, Reorientation, "plan")
+    of_kind(Reorientation, plan, "plan", "a Reorientation")
     builder = DiagramBuilder()
     parts = AddScenePlant(builder, plan.scene, plan.config)
     plant = parts.plant
