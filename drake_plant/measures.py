@@ -409,8 +409,7 @@ def _rolling(
 ) -> dict[str, Any]:
     """Forces of one contact; slip and where it is while nothing has been disturbed yet."""
     t, before, time = result.t, early & (result.t >= EDGE), durations(result)
-    normal, friction = _forces(result, i)
-    limit = result.config.friction * normal
+    normal, friction, limit = _forces(result, i)
     mean = _mean(normal[steady], time[steady])
     usual = mean if steady.any() else _mean(normal[normal > 0], time[normal > 0])
     pressed = (normal > 0.5 * usual) & (limit > 0)
@@ -457,9 +456,8 @@ def _rejection(
     first, last = np.maximum(np.searchsorted(t, (start + later, stop + later)), 1)
     # the row after it tells too what it did, and alone of one between two rows
     during, seen = slice(first, max(last, first + 1)), slice(first, last + 1)
-    normal, friction = _forces(result, i)
+    normal, friction, limit = _forces(result, i)
     # A finger that is off the object, or that nothing holds, has no friction to saturate.
-    limit = result.config.friction * normal
     at_limit = (friction >= SATURATED * limit) & (limit > 0)
     time = durations(result)[during]
     mean, before = _mean(slip[during], time), _greatest(slip[early & (t >= EDGE)])
@@ -479,10 +477,10 @@ def _rejection(
     }
 
 
-def _forces(result: SimulationResult, i: int) -> tuple[Array, Array]:
-    """Normal force and size of the tangential force of one contact, (m,) each, N."""
-    tangential = result.measured["tangential_force"][:, i]
-    return result.measured["normal_force"][:, i], np.linalg.norm(tangential, axis=1)
+def _forces(result: SimulationResult, i: int) -> tuple[Array, Array, Array]:
+    """Normal force, size of the tangential force and its limit of one contact, (m,) each, N."""
+    normal, across = (result.measured[f"{name}_force"][:, i] for name in ("normal", "tangential"))
+    return normal, np.linalg.norm(across, axis=1), result.config.friction * normal
 
 
 def _mean(values: NDArray[Any], durations: Array) -> float:

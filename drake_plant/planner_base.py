@@ -99,10 +99,6 @@ class PlannerBase(_System):
             [part.reshape(n, -1) for part in self._Parts(context, *outputs)], axis=1
         )
 
-    def _Numbers(self, context: Any, output: str) -> Array:
-        (part,) = self._Parts(context, output)
-        return part
-
     def _Parts(self, context: Any, *outputs: str) -> list[Array]:
         """Outputs of the system, each contact after contact."""
         raise NotImplementedError
@@ -121,7 +117,7 @@ class PlannerBase(_System):
     def _Turn(self, edge: float, context: Any, state: Any) -> None:
         """Contacts go on along their next legs, or without slip from a rest."""
         x, held = self._StateAndHeld(context)
-        x, held = self.system.turned(edge, x, held, self._Numbers(context, "carried"))
+        x, held = self.system.turned(edge, x, held, self._Parts(context, "carried")[0])
         state.get_mutable_continuous_state().SetFromVector(x)
         if self._held is not None:
             state.get_mutable_discrete_state(self._held).SetFromVector(held)

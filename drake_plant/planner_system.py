@@ -241,7 +241,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         self.DeclarePerStepPublishEvent(watch)
 
     def _CheckClearance(self, context: Any) -> None:
-        if not self._Numbers(context, "clearance")[0] > CLEARANCE:
+        if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
             refuse_singularity(self.system, *self._scratches.own.given)
 
     def _Begin(self, context: Any) -> None:
@@ -268,7 +268,7 @@ class ContactPlanner(_Convertible, LeafSystem):
                 )
         own.began = own.look = t
         starts = (t, *own.x, *own.held) == (0.0, *system.x0, *system.held0)
-        self._Follow(context, None if starts else self._Numbers(context, "state"))
+        self._Follow(context, None if starts else self._Parts(context, "state")[0])
 
     def _Follow(self, context: Any, state: Array | None) -> None:
         """Compare from now on with the plan from this state, or with that of the scene."""
@@ -292,7 +292,7 @@ class ContactPlanner(_Convertible, LeafSystem):
     def _CheckDrift(self, context: Any) -> None:
         plan = self._Exact(context)
         if plan is not None:
-            points, t = self._Numbers(context, "contact_point"), context.get_time()
+            points, t = self._Parts(context, "contact_point")[0], context.get_time()
             refuse_drift(self.system.scene, plan, t, points, self._tolerance)
 
     # --- what Drake calls ----------------------------------------------------------------------
@@ -335,13 +335,13 @@ class ContactPlanner(_Convertible, LeafSystem):
         chosen = np.isfinite(rows).all(axis=1) & moves
         if not chosen.any():
             return
-        planned, own = self._Numbers(context, "state").reshape(-1, 9), self._scratches.own
+        planned, own = self._Parts(context, "state")[0].reshape(-1, 9), self._scratches.own
         rows = on_branch(system.scene, np.where(chosen[:, None], rows, planned), planned)
         x, held = system.from_states(context.get_time(), rows, own.w, chosen)
         if limit is not None:
             now = context.get_time(), x, own.w, held
             there = system.evaluate("contact_point", *now)
-            apart = there - self._Numbers(context, "contact_point")
+            apart = there - self._Parts(context, "contact_point")[0]
             chosen &= np.linalg.norm(apart.reshape(-1, 6)[:, 3:], axis=1) > limit
         if not chosen.any():
             return
@@ -378,7 +378,7 @@ def _scalar_planner(T: type) -> type:
             self._Declare(system, system.x0, other._period)
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-            derivatives.SetFromVector(self._Numbers(context, "derivatives"))
+            derivatives.SetFromVector(self._Parts(context, "derivatives")[0])
 
         def _Parts(self, context: Any, *outputs: str) -> list[Array]:
             system, (x, held) = self.system, self._StateAndHeld(context)
