@@ -155,16 +155,14 @@ class HandDriver(LeafSystem):
         chains.put(q, v)
         back = POSTURE * (POSTURE * (q_d - q) + 2 * (v_d - v))
         torque = chains.carrying(a_d + back)
-        jacobians = [chains.jacobian(i) for i in range(len(chains.tips))]
-        for i, J in enumerate(jacobians):
-            given["X_WF"][i], given["V_WF"][i] = chains.pose(i).GetAsMatrix34(), J @ v
+        tips = range(len(chains.tips))
+        J = np.array([chains.jacobian(i) for i in tips])
+        given["X_WF"][:], given["V_WF"][:] = [chains.pose(i).GetAsMatrix34() for i in tips], J @ v
         laws.run()
-        for J, wrench in zip(jacobians, laws.results):
-            torque += J.T @ wrench
+        torque += np.einsum("nik,ni->k", J, laws.results)
         pushed = np.zeros(len(torque))
         if self._push.HasValue(context):
-            for J, force in zip(jacobians, self._push.Eval(context).reshape(-1, 3)):
-                pushed += J[3:].T @ force
+            pushed += J[:, 3:].reshape(-1, len(torque)).T @ self._push.Eval(context)[:-3]
         return np.array([np.clip(torque, -chains.effort, chains.effort), pushed])
 
     def _CalcTorque(self, context: Context, output: BasicVector) -> None:
