@@ -54,7 +54,7 @@ from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .plant import ScenePlant, declare_plant_inputs
+from .plant import MOTIONS, ScenePlant, declare_plant_inputs
 from .pressing import alike
 from .scratch import FingerTables, PerThread, named
 
@@ -186,9 +186,7 @@ class ContactMonitor(LeafSystem):
                 self._pairs[of_finger.get_value(), of_object.get_value()] = i, False
         step = plant.time_step() if plant.has_sampled_output_ports() else 0.0
         self._gauges = PerThread(lambda: ContactGauges(scene, step), {})
-        inputs = declare_plant_inputs(
-            self, plant, "contact_results", "body_poses", "body_spatial_velocities"
-        )
+        inputs = declare_plant_inputs(self, plant, "contact_results", *MOTIONS)
         self._results, self._poses, self._velocities = inputs
         self._noise = self.DeclareVectorInputPort("noise", 9 * n)
         tickets = [port.ticket() for port in inputs]

@@ -35,7 +35,7 @@ from contact_system.theory.symbols import per_structure
 from .balance import needed_wrench
 from .lifetimes import NO_DICTIONARY, weakly
 from .planner_base import MOTION
-from .plant import ScenePlant, declare_plant_inputs, gravity_on
+from .plant import MOTIONS, ScenePlant, declare_plant_inputs, gravity_on
 from .scratch import FingerTables, PerThread, halves, named, split
 from .tip_law import CONSTANT, SHARE, TIP, tip_constants, tip_wrench
 
@@ -149,9 +149,7 @@ class FingertipDriver(LeafSystem):
         self._laws = PerThread(partial(FingerTables, driving_law(), POINT, constants), {})
         n = len(fingers)
         self._motion = self.DeclareVectorInputPort("motion", sum(MOTION.values()) * n)
-        self._poses, self._velocities = declare_plant_inputs(
-            self, plant, "body_poses", "body_spatial_velocities"
-        )
+        self._poses, self._velocities = declare_plant_inputs(self, plant, *MOTIONS)
         self._discrete = plant.time_step() > 0
         if self._discrete:
             (self._accelerating,) = declare_plant_inputs(self, plant, "body_spatial_accelerations")

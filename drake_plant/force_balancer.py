@@ -13,7 +13,7 @@ from contact_system.checks import Array, of_kind
 from .balance import balancing_forces, friction_used, needed_wrench, way_to
 from .config import StationConfig
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .plant import ScenePlant, declare_plant_inputs, gravity_on
+from .plant import MOTIONS, ScenePlant, declare_plant_inputs, gravity_on
 
 COLUMNS = {"contact_forces": slice(0, 3), "normal_force": slice(3, 4), "friction_used": slice(4, 5)}
 
@@ -64,9 +64,7 @@ class ForceBalancer(LeafSystem):
         self.DeclareAbstractParameter(Value(plant.GetDefaultFloatingBaseBodyPose(body)))
         self._points = self.DeclareVectorInputPort("contact_point", 6 * n)
         self._normals = self.DeclareVectorInputPort("normal", 3 * n)
-        self._poses, self._velocities = declare_plant_inputs(
-            self, plant, "body_poses", "body_spatial_velocities"
-        )
+        self._poses, self._velocities = declare_plant_inputs(self, plant, *MOTIONS)
         needs = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
         ticket, self._found = array_entry(self._CalcFound, (n, 5), needs)
         for name, rows in COLUMNS.items():

@@ -101,6 +101,7 @@ REACH = 0.02  # m, that meshes of unbounded surfaces reach beyond the planned pa
 STRIP = 0.01  # m, that a mesh of too many triangles is fine beyond the planned patches
 TURNING_GAIN = 1e8  # N m/rad
 AGES = 1e9  # s
+MOTIONS = "body_poses", "body_spatial_velocities"  # ports of plants
 OPACITY = 0.6  # of fingers, and of objects around them, so that contacts are seen through them
 
 

@@ -37,11 +37,10 @@ from .plan_check import TOLERANCE
 from .plan_source import PlanSource
 from .planner_base import EARLY, PlannerBase
 from .planner_system import ContactPlanner
-from .plant import AGES, AddScenePlant, ScenePlant, turning_angle
+from .plant import AGES, MOTIONS, AddScenePlant, ScenePlant, turning_angle
 from .pressing import alike, contact_depth, depth_between, rolling_scene
 from .reorientation import Reorientation
 
-MOTIONS = "body_poses", "body_spatial_velocities"
 STARTED = {"planner": PlannerBase, "driver": FingertipDriver, "plant": MultibodyPlant}
 
 
