@@ -44,7 +44,7 @@ from pydrake.geometry import ContactSurface, GeometryId
 from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from contact_system import Plane, Scene, SceneError, Surface
+from contact_system import Plane, Scene, Surface
 from contact_system.checks import Array, of_kind
 from contact_system.contact_sensor import GAP, ON_FINGER, ON_OBJECT, SLIP, STATES, ContactSensor
 from contact_system.scene import require_scene
@@ -55,7 +55,7 @@ from contact_system.theory.symbols import per_structure
 
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import MOTIONS, ScenePlant, declare_plant_inputs
-from .pressing import alike
+from .pressing import require_alike
 from .scratch import FingerTables, PerThread, named
 
 TINY = sys.float_info.min
@@ -160,12 +160,7 @@ class ContactMonitor(LeafSystem):
         require_scene(scene)
         of_kind(ScenePlant, scene_plant, "scene_plant", "a ScenePlant")
         n = len(scene.contacts)
-        if not alike(scene, scene_plant.scene, scene_plant.config):
-            raise SceneError(
-                f"{scene.title} has other surfaces, sizes or contacts than scene_plant, of "
-                f"{scene_plant.scene.title}: give the scene that it was made for, or rolling_scene "
-                "of it"
-            )
+        require_alike(scene, scene_plant.scene, scene_plant.config, "monitor")
         self._scene, self._friction = scene, scene_plant.config.friction
         plant, fingers = scene_plant.plant, scene_plant.finger_bodies
         flat = isinstance(scene.object, Plane)

@@ -136,13 +136,18 @@ def _smaller_implicit(surface: ImplicitSurface, by: float) -> ImplicitSurface:
     )
 
 
-def alike(planned: Scene, nominal: Scene, config: StationConfig) -> bool:
-    """Whether two scenes have the same bodies, but for what contact presses in."""
+def require_alike(planned: Scene, nominal: Scene, config: StationConfig, what: str) -> None:
+    """Raise a SceneError where what is planned has other bodies than the plant, but for what
+    contact presses in."""
     pressed, bodies = 2 * contact_depth(config), (planned.surfaces, nominal.surfaces)
-    return len(planned.contacts) == len(nominal.contacts) and all(
+    if len(planned.contacts) != len(nominal.contacts) or not all(
         type(a) is type(b) and abs(a.size - b.size) <= max(ANOTHER * b.size, pressed)
         for a, b in zip(*bodies)
-    )
+    ):
+        raise SceneError(
+            f"{what}, of {planned.title}, has other surfaces, sizes or contacts than the plant, of "
+            f"{nominal.title}: give it the plant's scene, or rolling_scene of that"
+        )
 
 
 def depth_between(nominal: Surface, planned: Surface) -> float:

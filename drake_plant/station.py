@@ -38,7 +38,7 @@ from .plan_source import PlanSource
 from .planner_base import EARLY, PlannerBase
 from .planner_system import ContactPlanner
 from .plant import AGES, MOTIONS, AddScenePlant, ScenePlant, turning_angle
-from .pressing import alike, contact_depth, depth_between, rolling_scene
+from .pressing import contact_depth, depth_between, require_alike, rolling_scene
 from .reorientation import Reorientation
 
 STARTED = {"planner": PlannerBase, "driver": FingertipDriver, "plant": MultibodyPlant}
@@ -283,12 +283,7 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         No station, or a planner with other surfaces, sizes or contacts than the driver has.
     """
     planner, driver, plant = _started(station)
-    if not alike(planner.system.scene, driver.scene, driver.config):
-        raise SceneError(
-            f"station: its planner, of {planner.system.scene.title}, has other surfaces, sizes or "
-            f"contacts than its driver, of {driver.scene.title}: give the planner that scene, or "
-            "rolling_scene of it"
-        )
+    require_alike(planner.system.scene, driver.scene, driver.config, "planner")
     try:
         now = planner.GetMyContextFromRoot(context)
     except RuntimeError:

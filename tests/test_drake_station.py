@@ -673,8 +673,8 @@ def test_arguments_of_another_kind_are_refused_by_name(tmp_path):
     refused = [
         (lambda: AddScenePlant(builder, scene, {}), "'D1', plant: config = {}: give a Station"),
         (lambda: AddScenePlant(3, scene), "builder = 3: give a DiagramBuilder"),
-        (lambda: ContactMonitor(k4, parts), "'K4' has other .* 'D1': give"),
-        (lambda: ContactMonitor(larger, parts), "'D1' has other .* 'D1': give"),
+        (lambda: ContactMonitor(k4, parts), "'K4', has other .* 'D1': give"),
+        (lambda: ContactMonitor(larger, parts), "'D1', has other .* 'D1': give"),
         (lambda: Recording(0), "frames = 0: give a finite number above"),
         (lambda: film.Save("film.html"), "nothing to save in film.html: call Add before"),
     ]
@@ -690,7 +690,7 @@ def test_arguments_of_another_kind_are_refused_by_name(tmp_path):
         BuildStation(two_spheres(), light)
     film.Add(builder, parts)
     diagram = builder.Build()
-    with pytest.raises(cs.SceneError, match="planner, of scene 'K4', has other .* 'D1': give the"):
+    with pytest.raises(cs.SceneError, match="planner, of scene 'K4', has other .* 'D1': give it"):
         SetInitialState(diagram, diagram.CreateDefaultContext())
     with pytest.raises(cs.SceneError, match="'.*film.html' cannot be written: .*give a path in a"):
         film.Save(tmp_path / "none" / "film.html")
