@@ -555,24 +555,24 @@ def test_states_are_refused_where_the_centre_of_an_implicit_surface_does_not_see
 
 def test_paths_of_which_rounding_leaves_too_few_digits_are_refused():
     for speed in (4.2e9, 1e89):
-        scene = alone(cs.Sphere(0.1), profile=(1.0,), finger_velocity=(speed, 0.0))
         with pytest.raises(cs.SceneError, match="contact 0.*leaves less than four digits of its"):
-            cs.plan(scene)
+            cs.plan(alone(cs.Sphere(0.1), profile=(1.0,), finger_velocity=(speed, 0.0)))
 
 
 def test_a_path_of_panels_without_end_is_refused(monkeypatch):
     monkeypatch.setattr(cs.limits, "PANELS", 1e4)  # sooner than by the limit that is set
-    force = cs.FingerAcceleration(0, 0.1, 0.5, (0.1, 5e18))
-    with pytest.raises(cs.ContactSystemError, match="panels reach t = .* s of .*PANELS higher"):
-        cs.plan(alone(cs.Sphere(0.1), (1.0, 0.5), disturbances=[force]))
+    force = cs.ObjectAcceleration(0, 0.1, 0.5, (0.1, 5e18))
+    far = cs.ImplicitSurface("(x-1e4)**2 + y**2 + 2*z**2 - 0.01", size=0.1, center=(1e4, 0, 0))
+    for obj, why in ((cs.Sphere(0.1), "PANELS higher"), (far, "so give tolerance=1e-10")):
+        with pytest.raises(cs.ContactSystemError, match=f"panels reach t = .* s of .*{why}"):
+            cs.plan(alone(obj, object_velocity="rest", disturbances=[force]))
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])
 def test_slip_on_a_cylinder_keeps_the_tolerance_on_long_paths(tolerance):
     # y = W s - V g unrolled, g = sigma (1 - exp(-eta t)) / eta
     sigma, rate, t = 785.0, 1e4, np.array([1e-5, 3e-5, 1e-4, 3e-4, 1e-3])
-    start = {"finger": cs.Sphere(0.3), "finger_velocity": (1.0, 0.0), "gain": cs.Gain.time(rate)}
-    start |= {"object_velocity": (0.3, 0.9)}
+    start = {"finger_velocity": (1, 0), "object_velocity": (0.3, 0.9), "gain": cs.Gain.time(rate)}
     plan = cs.plan(alone(cs.Cylinder(0.1), (0.0, 0.0), (sigma,), 30.0, **start), tolerance)
     g = -sigma * np.expm1(-rate * t) / rate
     assert plan.states(t)[:, 0, 4] == pytest.approx((sigma * t - 0.7 * g) / 0.1, abs=tolerance)

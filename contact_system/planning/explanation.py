@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from .. import limits
@@ -13,6 +14,7 @@ from ..surfaces import Surface
 SIDES = ("finger", "object")
 LONGEST_PATH = 1e11  # sizes of the body
 ALMOST_RESTS = 1e-5  # of the greatest coefficient of sigma
+EPS = 2.0**-52
 
 # failure_t.code, and kind and reason of fact_t, as in engine.h
 STUCK, TOO_MANY_PANELS, TOO_LONG, SINGULAR_CHART, SINGULAR_TIME, OUTSIDE = range(2, 8)
@@ -149,9 +151,10 @@ def failed(scene: Scene, failure: Failure) -> Exception:
         return ContactSystemError(f"{name}: the motion cannot be continued past {reached}: {why}")
     if failure.code == TOO_MANY_PANELS:
         why = _accelerated_at_rest(scene, failure) or (
-            "shorten the scene, lower the speed, the acceleration or the surface's curvature, or "
-            "give a surface of your own a greater size; where the path comes to a pole of its "
-            "chart, or to where a formula has no values, end the scene or the disturbance before"
+            f"{_far_away(scene, failure)}shorten the scene, lower the speed, the acceleration or "
+            "the surface's curvature, or give a surface of your own a greater size; where the path "
+            "comes to a pole of its chart, or to where a formula has no values, end the scene or "
+            "the disturbance before"
         )
         return ContactSystemError(
             f"{name}: {failure.panels} panels reach {reached} of {failure.end:.9g} only, and the "
@@ -197,4 +200,18 @@ def _accelerated_at_rest(scene: Scene, failure: Failure) -> str:
     return (
         f"an acceleration acts where the path almost rests, sigma = {sigma:.3g} m/s; add a "
         "constant to the profile, or accelerate before or after"
+    )
+
+
+def _far_away(scene: Scene, failure: Failure) -> str:
+    """What to do where a body is far from its origin, and rounded positions rough for its size."""
+    contact, side = scene.contacts[failure.contact], int(failure.side)
+    surface, at = (contact.finger, scene.object)[side], contact.start()[side]
+    distance = math.hypot(*surface.point(*at))
+    rounding = EPS * distance / surface.size
+    if rounding < 1e-12:  # the default tolerance
+        return ""
+    return (
+        f"{distance:.3g} m from the body's origin, positions are rounded by {rounding:.1g} of its "
+        f"size, so give tolerance={10.0 ** math.ceil(math.log10(rounding)):g} or more; else "
     )
