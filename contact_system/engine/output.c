@@ -45,8 +45,14 @@ static void path_velocity(const panels_t *panels, const double *constant, const 
 /* ---- a block of times of one contact ---- */
 
 /* What is needed of a body */
-enum { NEED_POINT = 1, NEED_STATE = 2, NEED_COORDINATES = 4, NEED_FRAME = 8, NEED_SHAPE = 16 };
-enum { NEED_VELOCITY = 32 };
+enum {
+  NEED_POINT = 1,
+  NEED_STATE = 2,
+  NEED_COORDINATES = 4,
+  NEED_FRAME = 8,
+  NEED_SHAPE = 16,
+  NEED_VELOCITY = 32
+};
 
 typedef struct {
   const track_t *track;
@@ -247,7 +253,8 @@ static void put_frames(const target_t *to, const sample_t *m) {
 }
 
 static void put_pose(work_t *w, const target_t *to, const contact_t *c, const sample_t *m) {
-  static const double zero[L], one[L] = {1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
+  double zero[L], one[L];
+  fill_lanes(zero, 0.0), fill_lanes(one, 1.0);
   unit_t *u = pair_table(w, T_POSE, c->r0);
   fill_pair(u, m);
   lanes_t found = run(u);
@@ -272,9 +279,9 @@ static void put_twist(work_t *w, const target_t *to, const contact_t *c, const s
 }
 
 /* A block of times on one track of each body and one interval of slip */
-static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t *to, int needs,
-                      int turned) {
+static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t *to, int needs) {
   double *const *out = to->out;
+  const int turned = out[SLIP] || out[ACCELERATION];
   const int forced = m->segment->v_panels != NULL;
   const int accelerated = out[ACCELERATION] && forced;
   const int slip = turned || out[SLIP_SPEED] || out[TWIST] || out[CARRIED];
@@ -312,13 +319,6 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t
   }
 }
 
-/* The interval of a time among n, an edge being that of the later one; k: where to look first */
-#define WHICH(items, n, t, k)                                                                      \
-  do {                                                                                             \
-    if ((t) < (items)[k].drive->start) k = 0;                                                      \
-    while (k + 1 < (n) && (items)[k + 1].drive->start <= (t)) k++;                                 \
-  } while (0)
-
 /* What stands at times without a frame, at a pole or an umbilic, is not finite. The first of them
    is told; the other contacts are evaluated all the same. */
 static void tell_singular(work_t *w, const contact_t *c, int64_t n, const double *t,
@@ -336,37 +336,36 @@ static void tell_singular(work_t *w, const contact_t *c, int64_t n, const double
   }
 }
 
-static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const double *times,
-                             double *const *out) {
-  const int turned = out[SLIP] || out[ACCELERATION];
+static int needs_of(double *const *out) {
   int needs = 0;
   if (out[STATES] || out[CARRIED]) needs |= NEED_COORDINATES;
   if (out[POINTS]) needs |= NEED_POINT;
   if (out[POSE] || out[TWIST]) needs |= NEED_FRAME;
   if (out[TWIST]) needs |= NEED_SHAPE | NEED_VELOCITY;
   if (out[FRAMES]) needs |= NEED_FRAME | NEED_SHAPE;
+  return needs;
+}
+
+static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const double *times,
+                             double *const *out) {
+  const int needs = needs_of(out);
   sample_t m;
-  int64_t which[2] = {0, 0}, segment = 0;
-  for (int64_t i = 0; i < n;) {
-    double until = HUGE_VAL, from = -HUGE_VAL;
-    WHICH(c->segments, c->n_segments, times[i], segment);
+  int64_t segment = 0, track[2] = {0, 0};
+  for (int64_t i = 0, count; i < n; i += count) {
+    segment = interval(c->segment_edges, c->n_segments, times[i], segment);
     m.segment = c->segments + segment;
-    if (segment) from = m.segment->drive->start;
-    if (segment + 1 < c->n_segments) until = m.segment[1].drive->start;
+    double from = c->segment_edges[segment], until = c->segment_edges[segment + 1];
     for (int s = 0; s < 2; s++) {
-      WHICH(c->tracks[s], c->n_tracks[s], times[i], which[s]);
-      const track_t *k = c->tracks[s] + which[s];
-      m.side[s].track = k;
-      if (which[s]) from = fmax(from, k->drive->start);
-      if (which[s] + 1 < c->n_tracks[s]) until = fmin(until, k[1].drive->start);
+      const double *edges = c->track_edges[s];
+      track[s] = interval(edges, c->n_tracks[s], times[i], track[s]);
+      m.side[s].track = c->tracks[s] + track[s];
+      from = fmax(from, edges[track[s]]), until = fmin(until, edges[track[s] + 1]);
     }
-    int count = 0;
+    count = 1;
     while (count < L && i + count < n && times[i + count] >= from && times[i + count] < until)
-      m.t[count] = times[i + count], count++;
-    for (int q = count; q < L; q++) m.t[q] = m.t[count - 1];
-    const target_t to = {out, n, i, count};
-    put_block(w, c, &m, &to, needs, turned);
-    i += count;
+      count++;
+    gather(m.t, times + i, (int)count);
+    put_block(w, c, &m, &(target_t){out, n, i, (int)count}, needs);
   }
   tell_singular(w, c, n, times, out);
 }
@@ -375,9 +374,7 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
 
 /* Path velocities at a time */
 static void sample_at(const contact_t *c, double t, sample_t *m) {
-  int64_t segment = 0;
-  WHICH(c->segments, c->n_segments, t, segment);
-  m->segment = c->segments + segment;
+  m->segment = c->segments + interval(c->segment_edges, c->n_segments, t, 0);
   fill_lanes(m->t, t);
   sample_paths(c, m);
 }
@@ -435,8 +432,7 @@ static void moment_of(work_t *w, contact_t *c, double t, double *out) {
   for (int a = 0; a < 2; a++) row[K_W1 + a] = m.w[0][a][0], row[K_Y + a] = m.v[a][0];
   for (int side = 0; side < 2; side++) {
     const body_t *b = &c->body[side];
-    int64_t which = 0;
-    WHICH(c->tracks[side], c->n_tracks[side], t, which);
+    const int64_t which = interval(c->track_edges[side], c->n_tracks[side], t, 0);
     const track_t *k = c->tracks[side] + which;
     double *frame = row + (side ? K_FRAME_2 : K_FRAME_1);
     place_at(w, c, side, which, t, row + (side ? K_PLACE_2 : K_PLACE_1));

@@ -53,8 +53,8 @@ static const drive_t *drive_on(work_t *w, const double *leg, double start, doubl
   for (int64_t i = 0; i < n; i++) length[i + 1] = sigma[i] / (double)(i + 1);
   d->n_exponent = exponent_of(w, shifted, n, scene[S_GAIN], power, &d->exponent);
 
-  const double span = stop - start, ends[2] = {sigma[0], sigma_at(d, span)};
-  double least = fmin(ends[0], ends[1]), greatest = fmax(ends[0], ends[1]);
+  const double span = stop - start, last = sigma_at(d, span);
+  double least = fmin(sigma[0], last), greatest = fmax(sigma[0], last);
   double *turns = keep(w, (size_t)(2 * n));
   const int64_t n_turns = sign_changes(c, n, 1, from, to, turns);
   for (int64_t k = 0; k < n_turns; k++) {
@@ -66,11 +66,6 @@ static const drive_t *drive_on(work_t *w, const double *leg, double start, doubl
   const double base = power > 1 ? least : fmax(greatest, 1e-300);
   d->per_metre =
       fmax(scene[S_GAIN] * pow(base, (double)(power - 1)), 1.0 / fmax(length_at(d, span), 1e-300));
-  /* how long slip is remembered; a law that makes up for growth is infinite where sigma is zero */
-  double lam = HUGE_VAL;
-  for (int k = 0; k < 2; k++)
-    if (ends[k] > 0) lam = fmin(lam, gain_at(d, k ? span : 0.0));
-  d->memory = lam < HUGE_VAL ? 1.0 / fmax(lam, 1e-9) : 1e9;
   return d;
 }
 
@@ -79,7 +74,7 @@ static int ascending(const void *a, const void *b) {
   return (x > y) - (x < y);
 }
 
-/* The times at which something changes for a contact, ascending; returns how many */
+/* The times at which something changes for a contact, each one once, ascending; returns how many */
 static int64_t knots_of(work_t *w, const double *row, double **out) {
   const double *scene = w->plan->scene, *windows = scene + (int64_t)row[K_WINDOWS];
   const double *legs = scene + (int64_t)row[K_LEGS];
@@ -106,32 +101,34 @@ static int64_t knots_of(work_t *w, const double *row, double **out) {
   for (int64_t k = 0; k < count; k++)
     if (knots[k] >= begin && knots[k] <= end) knots[inside++] = knots[k];
   qsort(knots, (size_t)inside, sizeof *knots, ascending);
-  return inside;
+  count = 0;
+  for (int64_t k = 0; k < inside; k++)
+    if (k == 0 || knots[k] > knots[count - 1]) knots[count++] = knots[k];
+  return count;
 }
 
-/* The segments of a contact; returns how many */
-static int64_t schedule(work_t *w, const double *row, segment_t **out) {
+/* The segments of a contact */
+static void schedule(work_t *w, const double *row, contact_t *c) {
   const double *scene = w->plan->scene, *windows = scene + (int64_t)row[K_WINDOWS];
   const double *leg = scene + (int64_t)row[K_LEGS];
   const double *last = leg + ((int64_t)row[K_LEGS_SIZE] - 1) * LEG_SIZE;
-  double *knots;
-  const int64_t n = (int64_t)row[K_WINDOWS_SIZE], count = knots_of(w, row, &knots);
-  segment_t *segments = keep_items(w, count - 1, sizeof *segments);
-  int64_t found = 0;
-  for (int64_t k = 0; k + 1 < count; k++) {
-    if (!(knots[k] < knots[k + 1])) continue;
-    segment_t *s = segments + found++;
+  double *edges;
+  c->n_segments = knots_of(w, row, &edges) - 1;
+  c->segments = keep_items(w, c->n_segments, sizeof *c->segments);
+  for (int64_t k = 0; k < c->n_segments; k++) {
+    segment_t *s = c->segments + k;
+    const double start = edges[k], stop = edges[k + 1];
     memset(s, 0, sizeof *s);
-    while (leg < last && leg[LEG_SIZE + G_START] <= knots[k]) leg += LEG_SIZE;
-    s->drive = drive_on(w, leg, knots[k], knots[k + 1]);
+    while (leg < last && leg[LEG_SIZE + G_START] <= start) leg += LEG_SIZE;
+    s->drive = drive_on(w, leg, start, stop);
     /* the start's velocity is that of the leg it lies on */
-    if (leg[G_START] == knots[k] && knots[k] > scene[S_BEGIN]) s->turn = leg + G_TURN;
-    for (int64_t i = 0; i < n; i++) {
+    if (leg[G_START] == start && start > scene[S_BEGIN]) s->turn = leg + G_TURN;
+    for (int64_t i = 0; i < (int64_t)row[K_WINDOWS_SIZE]; i++) {
       const double *window = windows + i * WINDOW_SIZE;
-      if (!(window[W_START] <= knots[k] && knots[k + 1] <= window[W_STOP])) continue;
+      if (!(window[W_START] <= start && stop <= window[W_STOP])) continue;
       for (int a = 0; a < 2; a++) s->acting[2 * (int)window[W_SLOT] + a] += window[W_VALUE + a];
     }
   }
-  *out = segments;
-  return found;
+  edges[c->n_segments] = HUGE_VAL;
+  c->segment_edges = edges;
 }

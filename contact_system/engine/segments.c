@@ -37,7 +37,9 @@ static int in_space(const surface_t *s, int disturbed) {
 static double norm(const double *d) { return hypot(d[0], d[1]); }
 
 static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, int reason) {
-  track_t *k = &c->c->tracks[side][c->c->n_tracks[side]++];
+  const int64_t n = c->c->n_tracks[side]++;
+  track_t *k = c->c->tracks[side] + n;
+  c->c->track_edges[side][n] = d->start, c->c->track_edges[side][n + 1] = HUGE_VAL;
   memset(k, 0, sizeof *k);
   k->drive = d, k->stop = stop, k->reason = reason;
   k->ambient = moves_in_space(c->c->body[side].surface);
@@ -232,6 +234,16 @@ static motion_t forced_motion(course_t *c, int side, const segment_t *s, const d
   return m;
 }
 
+/* About how long slip is remembered, s: 1/lam where lam is less, at the start or at the end. A law
+   that makes up for growth is infinite where sigma is zero. */
+static double memory(const drive_t *d) {
+  const double ends[2] = {0.0, d->stop - d->start};
+  double lam = HUGE_VAL;
+  for (int k = 0; k < 2; k++)
+    if (sigma_at(d, ends[k]) > 0) lam = fmin(lam, gain_at(d, ends[k]));
+  return lam < HUGE_VAL ? 1.0 / fmax(lam, 1e-9) : 1e9;
+}
+
 /* First the finger, if it is accelerated, with its W_1, then the object with V */
 static void forced(course_t *c, segment_t *s) {
   const drive_t *d = s->drive;
@@ -247,7 +259,7 @@ static void forced(course_t *c, segment_t *s) {
   double push = 0.0;
   for (int k = 0; k < 4; k++) push = fmax(push, fabs(act[k]) * c->c->body[k / 2].size);
   const double grown =
-      fmax(push / fmax(d->least, 1e-300) * fmin(d->stop - d->start, d->memory), 1e-3);
+      fmax(push / fmax(d->least, 1e-300) * fmin(d->stop - d->start, memory(d)), 1e-3);
   motion_t m = forced_motion(c, 1, s, c->v, 1.0 / fmin(fmax(norm(c->v), grown), 1.0));
   m.slip = 1.0, m.finger = finger;
   s->v_panels = &add_motion(c, &m, d->stop, PUSHED)->panels;
@@ -324,10 +336,13 @@ static void plan_contact(work_t *w, int64_t index) {
   own->body[0] = body_of(plan, c.row + K_FINGER),
   own->body[1] = body_of(plan, plan->scene + S_OBJECT);
   begin(&c);
-  own->n_segments = schedule(w, c.row, &own->segments);
+  schedule(w, c.row, own);
   refuse_endless(&c);
-  for (int side = 0; side < 2; side++)
-    own->tracks[side] = keep_items(w, (1 + side) * own->n_segments, sizeof(track_t));
+  for (int side = 0; side < 2; side++) {
+    const int64_t most = (1 + side) * own->n_segments;
+    own->tracks[side] = keep_items(w, most, sizeof(track_t));
+    own->track_edges[side] = keep(w, (size_t)most + 1);
+  }
   double until[2] = {plan->begin, plan->begin};
   for (int64_t k = 0; k < own->n_segments; k++) {
     segment_t *s = own->segments + k;

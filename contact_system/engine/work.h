@@ -16,7 +16,6 @@ typedef struct {
   double least;     /* sigma */
   double per_metre; /* least lam/sigma, or 1/length, 1/m; V moves the contact by at most
                        |V|/per_metre until it is gone */
-  double memory;    /* 1/(least lam): how long slip is remembered */
   int64_t grows;    /* the law makes up for growth, and sigma grows: decay gets sigma(0)/sigma */
   int64_t n_sigma, n_exponent;
   const double *sigma, *exponent, *length; /* length: int sigma, one coefficient more */
@@ -71,6 +70,7 @@ typedef struct {
   int64_t n_tracks[2], n_segments;
   track_t *tracks[2];
   segment_t *segments;
+  double *track_edges[2], *segment_edges; /* where each begins; the last one has no end */
 } contact_t;
 
 struct plan {
