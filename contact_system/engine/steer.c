@@ -203,40 +203,56 @@ static void tilt(rolled_t *r, int n, double (*ahead)[L], double (*aside)[L]) {
     }
 }
 
-/* How far off the goal's pose the end is, rotation and origin, told in the frames F = [p q n]
-   there: the finger's rotation is F_2 diag(1, -1, -1) F_1^T. from: the finger's point from its
-   origin. */
-static void pose_off(search_t *w, double unit, double (*off)[L], double (*from)[L]) {
-  const steer_t *aim = w->aim;
-  const rolled_t *one = w->rolled, *other = w->rolled + 1;
-  EACH_LANE(l) {
-    double f[2][3][3], c[3][3], n2 = 0.0;
-    for (int s = 0; s < 2; s++) {
-      for (int i = 0; i < 3; i++)
-        f[s][0][i] = w->rolled[s].at[3 + i][l], f[s][1][i] = w->rolled[s].at[6 + i][l];
-      const double *p = f[s][0], *q = f[s][1];
-      f[s][2][0] = p[1] * q[2] - p[2] * q[1], f[s][2][1] = p[2] * q[0] - p[0] * q[2];
-      f[s][2][2] = p[0] * q[1] - p[1] * q[0];
-    }
-    for (int i = 0; i < 3; i++)
-      for (int j = 0; j < 3; j++) {
-        double sum = 0.0;
-        for (int a = 0; a < 3; a++)
-          for (int b = 0; b < 3; b++) sum += f[1][i][a] * aim->turn[3 * a + b] * f[0][j][b];
-        c[i][j] = (i != j ? 0.0 : i ? -1.0 : 1.0) - sum, n2 += c[i][j] * c[i][j];
-      }
-    off[0][l] = c[0][1] + c[1][0], off[1][l] = -c[0][2] - c[2][0], off[2][l] = c[2][1] - c[1][2];
-    for (int i = 0; i < 3; i++) {
-      double x = 0.0, y = 0.0;
-      for (int j = 0; j < 3; j++) {
-        x += f[0][i][j] * one->at[j][l];
-        y += f[1][i][j] * (other->at[j][l] - aim->origin[j]);
-      }
-      from[i][l] = unit * x, off[3 + i][l] = unit * (i ? y + x : y - x);
-      n2 += off[3 + i][l] * off[3 + i][l];
-    }
-    w->now.size[l] += n2;
+/* The rows of F = [p q n] */
+static void frame_of(const rolled_t *r, double (*f)[3][L]) {
+  copy_rows(f[0], r->at + 3, 3), copy_rows(f[1], r->at + 6, 3);
+  for (int i = 0; i < 3; i++) {
+    const double *p1 = f[0][(i + 1) % 3], *p2 = f[0][(i + 2) % 3];
+    const double *q1 = f[1][(i + 1) % 3], *q2 = f[1][(i + 2) % 3];
+    EACH_LANE(l) f[2][i][l] = p1[l] * q2[l] - p2[l] * q1[l];
   }
+}
+
+/* a . turn b */
+static void turned_product(double (*a)[L], const double *turn, double (*b)[L], double *out) {
+  fill_lanes(out, 0.0);
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++)
+      EACH_LANE(l) out[l] += a[i][l] * turn[3 * i + j] * b[j][l];
+}
+
+/* How far off the goal's pose the end is, rotation and origin, told in the frames F there: the
+   finger's rotation is F_2 diag(1, -1, -1) F_1^T. from: the finger's point from its origin. */
+static void pose_off(search_t *w, double unit, double (*off)[L], double (*from)[L]) {
+  static const double same[3] = {1.0, -1.0, -1.0};
+  const steer_t *aim = w->aim;
+  double f[2][3][3][L], c[3][3][L], size[L];
+  for (int s = 0; s < 2; s++) frame_of(w->rolled + s, f[s]);
+  fill_lanes(size, 0.0);
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++) {
+      const double goal = i == j ? same[i] : 0.0;
+      turned_product(f[1][i], aim->turn, f[0][j], c[i][j]);
+      EACH_LANE(l) c[i][j][l] = goal - c[i][j][l], size[l] += c[i][j][l] * c[i][j][l];
+    }
+  EACH_LANE(l) {
+    off[0][l] = c[0][1][l] + c[1][0][l];
+    off[1][l] = -c[0][2][l] - c[2][0][l];
+    off[2][l] = c[2][1][l] - c[1][2][l];
+  }
+  for (int i = 0; i < 3; i++) {
+    double x[L] = {0}, y[L] = {0};
+    for (int j = 0; j < 3; j++)
+      EACH_LANE(l) {
+        x[l] += f[0][i][j][l] * w->rolled[0].at[j][l];
+        y[l] += f[1][i][j][l] * (w->rolled[1].at[j][l] - aim->origin[j]);
+      }
+    EACH_LANE(l) {
+      from[i][l] = unit * x[l], off[3 + i][l] = unit * (y[l] - same[i] * x[l]);
+      size[l] += off[3 + i][l] * off[3 + i][l];
+    }
+  }
+  EACH_LANE(l) w->now.size[l] += size[l];
 }
 
 /* Rows for the rotation of the finger and, of a pose, for its origin. */
@@ -245,7 +261,7 @@ static void arrive_in_pose(search_t *w) {
   const int n = w->unknowns, is_pose = w->aim->is_pose != 0;
   const double unit = is_pose ? 1.0 / w->aim->size : 0.0;
   equations_t *e = &w->now;
-  by_unknown_t ahead[2], aside[2], slope;
+  by_unknown_t ahead[2], aside[2];
   double off[6][L], from[3][L];
   for (int s = 0; s < 2; s++) tilt(w->rolled + s, n, ahead[s], aside[s]);
   pose_off(w, unit, off, from);
@@ -256,25 +272,20 @@ static void arrive_in_pose(search_t *w) {
       spin[1][i][l] = ahead[0][i][l] + ahead[1][i][l];
       spin[2][i][l] = aside[1][i][l] - aside[0][i][l];
     }
-  for (int row = 0; row < 3; row++) { /* each stands in two of the nine entries */
-    add_row(e, n, spin[row], off[row]);
-    const double none[L] = {0};
-    add_row(e, n, spin[row], none);
-  }
-  for (int row = 0; row < 3 && is_pose; row++) {
-    for (int i = 0; i < n; i++)
-      EACH_LANE(l) {
-        const double mu = spin[0][i][l], e0 = spin[1][i][l], e1 = spin[2][i][l];
-        const double turned = row == 0   ? mu * from[1][l] - e0 * from[2][l]
-                              : row == 1 ? mu * from[0][l] - e1 * from[2][l]
-                                         : e1 * from[1][l] - e0 * from[0][l];
-        const double moved = row == 0   ? other->ahead[i][l] - one->ahead[i][l]
-                             : row == 1 ? other->aside[i][l] + one->aside[i][l]
-                                        : 0.0;
-        slope[i][l] = unit * moved - turned;
-      }
-    add_row(e, n, slope, off[3 + row]);
-  }
+  const double none[L] = {0};
+  for (int row = 0; row < 3; row++) /* each stands in two of the nine entries */
+    add_row(e, n, spin[row], off[row]), add_row(e, n, spin[row], none);
+  if (!is_pose) return;
+  by_unknown_t moves[3];
+  for (int i = 0; i < n; i++)
+    EACH_LANE(l) {
+      const double mu = spin[0][i][l], e0 = spin[1][i][l], e1 = spin[2][i][l];
+      const double x = from[0][l], y = from[1][l], z = from[2][l];
+      moves[0][i][l] = unit * (other->ahead[i][l] - one->ahead[i][l]) - (mu * y - e0 * z);
+      moves[1][i][l] = unit * (other->aside[i][l] + one->aside[i][l]) - (mu * x - e1 * z);
+      moves[2][i][l] = e0 * x - e1 * y;
+    }
+  for (int row = 0; row < 3; row++) add_row(e, n, moves[row], off[3 + row]);
 }
 
 static void keep_short(search_t *w) {
