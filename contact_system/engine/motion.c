@@ -191,13 +191,13 @@ static void scales(work_t *w, int ambient, const body_t *b, const double *state,
 
 /* ---- panels ---- */
 
-/* Where an integration stands: the next panel begins at tau and has length h at most. before: the
-   series of a panel of length span to start from, or NULL; begins: that panel begins at tau, as it
-   was refused, else it ends there, as the last one. */
+/* Where an integration stands: the next panel begins at tau and has length h at most. known: a
+   panel of length span whose series it starts from; the last one ends at tau, a refused one begins
+   there and its series stands where the next one's will. */
+enum { NOTHING, LAST_PANEL, REFUSED_PANEL };
 typedef struct {
   double tau, h, span;
-  const double *before;
-  int begins;
+  int known;
 } step_t;
 
 /* A panel shortened: ln(decay) may fall by so much, also if it goes on as at the start, so that the
@@ -235,12 +235,22 @@ static void invert_implicit(const double *lam, double half, double (*a)[L]) {
   }
 }
 
-/* The values at the nodes of a panel `ratio` times as long as a known series, from its end (1) or
-   its start (-1) on */
-static void continued(const double *series, int64_t rows, double ratio, double from, lanes_t x) {
+/* Values at the nodes of a panel to start sweeps from: by the last panel's series (28 % fewer
+   sweeps), or by that of a longer panel, which was refused. out: where the panel's own series will
+   stand */
+static void first_guess(const motion_t *m, const step_t *s, double span, const double *out,
+                        lanes_t x) {
+  const double ratio = span / s->span;
   double xi[L];
-  for (int i = 0; i < L; i++) xi[i] = from + ratio * (1.0 + gauss_node[i]);
-  series_at(series, rows, xi, x);
+  if (s->known == LAST_PANEL && ratio <= 2.0) {
+    for (int i = 0; i < L; i++) xi[i] = 1.0 + ratio * (1.0 + gauss_node[i]);
+    series_at(out - m->n * TERMS, m->n, xi, x);
+  } else if (s->known == REFUSED_PANEL && ratio <= 1.0) {
+    for (int i = 0; i < L; i++) xi[i] = -1.0 + ratio * (1.0 + gauss_node[i]);
+    series_at(out, m->n, xi, x);
+  } else {
+    for (int64_t r = 0; r < m->n; r++) fill_lanes(x[r], m->state[r]);
+  }
 }
 
 /* One sweep: f at the nodes, then x = start + h/2 Q f (V: the implicit form). Returns the change.
@@ -410,14 +420,9 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
   fill_nodes(w, m, t, &at);
   at.allowed = fmax(m->tolerance, rounding(m, &at, half, after));
   if (has_v(m)) invert_implicit(at.lam, half, at.inverse);
-  /* sweeps start from the last panel's series (28 % fewer of them), or from that of the longer
-     panel that was refused */
-  if (s->before && span <= (s->begins ? 1.0 : 2.0) * s->span)
-    continued(s->before, m->n, span / s->span, s->begins ? -1.0 : 1.0, x);
-  else
-    for (int64_t r = 0; r < m->n; r++) fill_lanes(x[r], m->state[r]);
+  first_guess(m, s, span, out, x);
   if (!converge(w, m, half, &at, x, &f)) {
-    if (s->begins) s->before = NULL;
+    if (s->known == REFUSED_PANEL) s->known = NOTHING;
     s->h = 0.35 * span;
     return 0;
   }
@@ -430,15 +435,15 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
      faster with its length than at order L */
   const int fits = error <= at.allowed;
   const double ratio = 0.9 * pow(at.allowed / fmax(error, 1e-30), 1.0 / (fits ? L : 1.5 * L));
-  s->span = span, s->before = out;
+  s->span = span, s->known = fits ? LAST_PANEL : REFUSED_PANEL;
   if (!fits) {
-    s->h = span * fmin(fmax(ratio, 0.35), 0.8), s->begins = 1;
+    s->h = span * fmin(fmax(ratio, 0.35), 0.8);
     return 0;
   }
   double far = 1e-30; /* sizes that the panel spans */
   for (int64_t r = 0; r < m->n; r++) far = fmax(far, fabs(end[r] - m->state[r]) * m->scale[r]);
   s->h = span * fmin(fmin(ratio, 2.0), m->reach / far);
-  s->tau = after, s->begins = 0;
+  s->tau = after;
   memcpy(m->state, end, sizeof end);
   return 1;
 }
@@ -488,9 +493,7 @@ static void integrate(work_t *w, motion_t *m, double tolerance) {
         fail_motion(w, m, &s, TOO_MANY_PANELS, count);
       mark = s.tau;
     }
-    const int64_t before = s.before ? s.before - w->series : -1;
     make_room(w, count + 1, m->n);
-    if (before >= 0) s.before = w->series + before;
     if (!panel(w, m, &s, w->series + count * m->n * TERMS)) continue;
     w->edges[++count] = s.tau;
     if (m->finish > 0 && s.tau < m->length && m->slip * decay_at(m->drive, s.tau) <= m->finish)
