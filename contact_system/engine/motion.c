@@ -473,26 +473,34 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   fail(w, code);
 }
 
+/* Fails where a motion does not get on, or will take more panels than are left. tries: of `count`
+   panels; mark: where it stood when it was looked at last */
+static void require_progress(work_t *w, const motion_t *m, const step_t *s, int64_t count,
+                             int64_t tries, double *mark) {
+  /* a layer at the start may be as thin as it likes */
+  if (tries > 40 * (count + 25) || !(s->h > 1e-15 * s->tau)) fail_motion(w, m, s, STUCK, count);
+  const double left = w->plan->scene[S_PANELS] - (double)w->spent;
+  int endless = left < 0;
+  if (count && count % MANY == 0 && s->tau > *mark) {
+    endless |= MANY * (m->length - s->tau) > left * (s->tau - *mark);
+    *mark = s->tau;
+  }
+  if (endless) fail_motion(w, m, s, TOO_MANY_PANELS, count);
+}
+
 /* Integrates a motion from m->state over [0, m->length]; panels stay in the work's room. */
 static void integrate(work_t *w, motion_t *m, double tolerance) {
   /* below 4e-16 a series' tail is rounding */
   m->tolerance = fmax(0.1 * fmin(tolerance, COARSE), 4e-16);
   const double wide = pow(m->tolerance / 1e-13, 1.0 / L), first = fmin(m->first * wide, m->length);
   step_t s = {.h = longest(m, 0.0, first, fmin(STEEPEST, FALL * wide))};
-  const double budget = w->plan->scene[S_PANELS];
-  int64_t count = 0, tries = 0;
+  int64_t count = 0;
   double mark = 0.0;
   make_room(w, 8, m->n);
   w->edges[0] = 0.0;
-  while (s.tau < m->length) {
-    /* a layer at the start may be as thin as it likes */
-    if (++tries > 40 * (count + 25) || !(s.h > 1e-15 * s.tau)) fail_motion(w, m, &s, STUCK, count);
-    if ((double)++w->spent > budget) fail_motion(w, m, &s, TOO_MANY_PANELS, count);
-    if (count && count % MANY == 0 && s.tau > mark) {
-      if (MANY * (m->length - s.tau) > (budget - (double)w->spent) * (s.tau - mark))
-        fail_motion(w, m, &s, TOO_MANY_PANELS, count);
-      mark = s.tau;
-    }
+  for (int64_t tries = 1; s.tau < m->length; tries++) {
+    w->spent++;
+    require_progress(w, m, &s, count, tries, &mark);
     make_room(w, count + 1, m->n);
     if (!panel(w, m, &s, w->series + count * m->n * TERMS)) continue;
     w->edges[++count] = s.tau;
