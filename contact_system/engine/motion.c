@@ -9,7 +9,8 @@ static const double COARSE = 1e-6; /* coarser tolerances count as this: tails te
 static const double TAIL = 3.6;    /* error over a series' last coefficient */
 static const double KINKED = 30.0; /* the error is so much greater at a kink; 27 where rates jump */
 static const double STEEPEST = 20.0; /* most that ln(decay) falls in a panel; 30: 3 % more sweeps */
-static const double FALL = 4.5;      /* the same in a first panel at a tolerance of 1e-12 */
+/* The same in a first panel at a tolerance of 1e-12; without it fast slip takes 4 to 8 % longer. */
+static const double FALL = 4.5;
 enum { SWEEPS = 40 };
 enum { MANY = 4096 }; /* panels from one look at how many more it will take to the next */
 
