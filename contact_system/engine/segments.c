@@ -326,6 +326,32 @@ static void begin(course_t *c) {
   }
 }
 
+/* A segment's tracks, unless those before it last longer; until: when those of each body end */
+static void plan_segment(course_t *c, int64_t index, double *until) {
+  segment_t *s = c->c->segments + index;
+  const drive_t *d = s->drive;
+  if (s->turn) {
+    const double cosine = s->turn[0], sine = s->turn[1], *w1 = c->w1;
+    go_along(c, (double[2]){cosine * w1[0] - sine * w1[1], sine * w1[0] + cosine * w1[1]});
+  }
+  /* the guaranteed law lets no slip leave a rest */
+  if (d->grows && d->sigma[0] == 0.0) c->v[0] = c->v[1] = 0.0;
+  memcpy(s->w[0], c->w1, sizeof c->w1), memcpy(s->w[1], c->w2, sizeof c->w2);
+  memcpy(s->v, c->v, sizeof c->v);
+  if (any(s->acting)) {
+    until[0] = d->stop;
+  } else if (until[0] <= d->start) {
+    until[0] = free_until(c, 0, index);
+    geodesic(c, 0, d, until[0], c->follows ? FOLLOWING : UNPUSHED);
+  }
+  if (any(s->acting) || any(s->acting + 2)) {
+    forced(c, s);
+    until[1] = d->stop;
+  } else if (until[1] <= d->start) {
+    until[1] = free_object(c, s, free_until(c, 1, index));
+  }
+}
+
 static void plan_contact(work_t *w, int64_t index) {
   plan_t *plan = w->plan;
   contact_t *own = plan->contacts + index;
@@ -333,7 +359,7 @@ static void plan_contact(work_t *w, int64_t index) {
   c.row = plan->scene + S_HEADER + index * CONTACT_SIZE;
   c.follows = c.row[K_FOLLOWS] > 0;
   w->failure->contact = index;
-  own->body[0] = body_of(plan, c.row + K_FINGER),
+  own->body[0] = body_of(plan, c.row + K_FINGER);
   own->body[1] = body_of(plan, plan->scene + S_OBJECT);
   begin(&c);
   schedule(w, c.row, own);
@@ -344,26 +370,5 @@ static void plan_contact(work_t *w, int64_t index) {
     own->track_edges[side] = keep(w, (size_t)most + 1);
   }
   double until[2] = {plan->begin, plan->begin};
-  for (int64_t k = 0; k < own->n_segments; k++) {
-    segment_t *s = own->segments + k;
-    const drive_t *d = s->drive;
-    if (s->turn) {
-      const double cosine = s->turn[0], sine = s->turn[1], *w1 = c.w1;
-      go_along(&c, (double[2]){cosine * w1[0] - sine * w1[1], sine * w1[0] + cosine * w1[1]});
-    }
-    /* the guaranteed law lets no slip leave a rest */
-    if (d->grows && d->sigma[0] == 0.0) c.v[0] = c.v[1] = 0.0;
-    memcpy(s->w[0], c.w1, sizeof c.w1), memcpy(s->w[1], c.w2, sizeof c.w2);
-    memcpy(s->v, c.v, sizeof c.v);
-    if (any(s->acting)) {
-      until[0] = d->stop;
-    } else if (until[0] <= d->start) {
-      until[0] = free_until(&c, 0, k);
-      geodesic(&c, 0, d, until[0], c.follows ? FOLLOWING : UNPUSHED);
-    }
-    if (any(s->acting) || any(s->acting + 2))
-      forced(&c, s), until[1] = d->stop;
-    else if (until[1] <= d->start)
-      until[1] = free_object(&c, s, free_until(&c, 1, k));
-  }
+  for (int64_t k = 0; k < own->n_segments; k++) plan_segment(&c, k, until);
 }
