@@ -52,7 +52,12 @@ static inline int beyond(double u, double v) {
   return is_odd(floor(2.0 * u / TURN)) ^ second_cover(v);
 }
 
-/* y = sin u cos v, whose sign is what `beyond` tells; it is the same on both covers */
+/* A place on a path, and y = sin u cos v there, whose sign is what `beyond` tells; y is the same on
+   both covers */
+typedef struct {
+  double x, y;
+} mark_t;
+
 static inline double side_of(double u, double v) { return sin(u) * cos(v); }
 
 /* Whether a point is on cos v = 0 or sin u = 0 but for rounding: signs tell nothing there. */
@@ -90,59 +95,59 @@ static void wind_place(const surface_t *s, const double *ref, double *place) {
   for (int r = 0; r < N_COORDINATES; r++) place[r] = z[r][0];
 }
 
-/* Whether a path crosses cos v = 0, not sin u = 0, between two places x where sin u cos v = y has
-   different signs, negative is the first: told where it crosses, by regula falsi (Illinois), so
-   that it is right beside umbilics. */
-static int over_seam(const path_t *p, double x, double y, int negative, double x2, double y2) {
+/* Whether a path crosses cos v = 0, not sin u = 0, between two marks on different sides, the first
+   negative or not: told where it crosses, by regula falsi (Illinois), so that it is right beside
+   umbilics. */
+static int over_seam(const path_t *p, mark_t a, mark_t b, int negative) {
   double value[N_COORDINATES], last = 0.0, s = 0.0, c = 1.0;
-  y = negative ? -fabs(y) : fabs(y), y2 = negative ? fabs(y2) : -fabs(y2);
+  a.y = negative ? -fabs(a.y) : fabs(a.y), b.y = negative ? fabs(b.y) : -fabs(b.y);
   for (int i = 0; i < 100; i++) {
-    double at = x + (x2 - x) * (y / (y - y2));
-    if (!(at > x && at < x2)) at = 0.5 * (x + x2);
+    double at = a.x + (b.x - a.x) * (a.y / (a.y - b.y));
+    if (!(at > a.x && at < b.x)) at = 0.5 * (a.x + b.x);
     /* to rounding: a path may run along a seam and cross it elsewhere */
-    if (i && !(at > x && at < x2)) break;
+    if (i && !(at > a.x && at < b.x)) break;
     if (place_on(p, at, value)) return 0;
     s = sin(value[U]), c = cos(value[V]);
-    const double found = s * c;
+    const mark_t found = {at, s * c};
     if (fmin(fabs(s), c) <= 1e-15 * fmax(fabs(s), c)) break;
-    if ((found < 0.0) == negative) {
-      if (last == y) y2 *= 0.5;
-      x = at, last = y = found;
+    if ((found.y < 0.0) == negative) {
+      if (last == a.y) b.y *= 0.5;
+      a = found;
     } else {
-      if (last == y2) y *= 0.5;
-      x2 = at, last = y2 = found;
+      if (last == b.y) a.y *= 0.5;
+      b = found;
     }
+    last = found.y;
   }
   return c < fabs(s);
 }
 
-/* Whether a path leaves its side of y = sin u cos v = 0 and comes back between two places x, told
-   with y at one place where it is beyond: by parabolas towards the least |y|. */
-static int comes_back(const path_t *p, int negative, double x, double y, double x2, double y2,
-                      double *there, double *found) {
+/* Whether a path leaves its side of y = 0 and comes back between two marks, told with one of where
+   it is beyond: by parabolas towards the least |y|. */
+static int comes_back(const path_t *p, mark_t a, mark_t c, int negative, mark_t *there) {
   const double sign = negative ? -1.0 : 1.0;
-  double a = x, c = x2, b = 0.5 * (a + c), at = b, value[N_COORDINATES];
-  double ya = sign * y, yc = sign * y2, yb = HUGE_VAL;
-  if (fmin(ya, yc) > 0.25) return 0; /* too far for less than half a radian */
+  double at = 0.5 * (a.x + c.x), value[N_COORDINATES];
+  mark_t b = {at, HUGE_VAL}; /* the least of three */
+  a.y *= sign, c.y *= sign;
+  if (fmin(a.y, c.y) > 0.25) return 0; /* too far for less than half a radian */
   for (int i = 0; i < 30; i++) {
-    if (!(at > a && at < c) || place_on(p, at, value)) return 0;
-    *there = at, *found = side_of(value[U], value[V]);
-    const double now = sign * *found;
-    if (now < 0.0) return 1;
-    if (i == 0)
-      yb = now;
-    else if (at < b && now < yb)
-      c = b, yc = yb, b = at, yb = now;
-    else if (at < b)
-      a = at, ya = now;
-    else if (now < yb)
-      a = b, ya = yb, b = at, yb = now;
-    else
-      c = at, yc = now;
-    const double s1 = (yb - ya) / (b - a), s2 = (yc - yb) / (c - b), bend = (s2 - s1) / (c - a);
-    at = 0.5 * (a + b) - 0.5 * s1 / bend;
-    const double lowest = ya + (at - a) * (s1 + bend * (at - b));
-    if (!(bend > 0.0) || lowest > 0.1 * fmax(ya, yc)) return 0;
+    if (!(at > a.x && at < c.x) || place_on(p, at, value)) return 0;
+    *there = (mark_t){at, side_of(value[U], value[V])};
+    const mark_t now = {at, sign * there->y};
+    if (now.y < 0.0) return 1;
+    if (i == 0) {
+      b = now;
+    } else if (now.y < b.y) {
+      *(at < b.x ? &c : &a) = b;
+      b = now;
+    } else {
+      *(at < b.x ? &a : &c) = now;
+    }
+    const double s1 = (b.y - a.y) / (b.x - a.x), s2 = (c.y - b.y) / (c.x - b.x);
+    const double bend = (s2 - s1) / (c.x - a.x);
+    at = 0.5 * (a.x + b.x) - 0.5 * s1 / bend;
+    const double lowest = a.y + (at - a.x) * (s1 + bend * (at - b.x));
+    if (!(bend > 0.0) || lowest > 0.1 * fmax(a.y, c.y)) return 0;
   }
   return 0;
 }
@@ -163,37 +168,37 @@ static void wind_swing(const path_t *p, double x, const double *ref, double x2, 
   wind_swing(p, middle, (double[3]){half[U][0], half[V][0], half[THETA][0]}, x2, z, i);
 }
 
-/* One point of a path at x2, in principal coordinates, to the branch that it is on coming from ref
-   at x; y, y2: side_of both; bends: whether the path may come back between them */
-static void wind_along(const path_t *p, double x, double y, const double *ref, double x2, double y2,
-                       int bends, lanes_t z, int i) {
+/* One point of a path, in principal coordinates, to the branch that it is on at `to` coming from
+   ref at `from`; bends: whether the path may come back between them */
+static void wind_along(const path_t *p, mark_t from, const double *ref, mark_t to, int bends,
+                       lanes_t z, int i) {
   const surface_t *s = p->body->surface;
-  const int side = beyond(ref[0], ref[1]);
-  double there, found;
   if (!s->double_cover) {
-    wind_swing(p, x, ref, x2, z, i);
+    wind_swing(p, from.x, ref, to.x, z, i);
     return;
   }
   if (on_seam(ref[0], ref[1]) || on_seam(z[U][i], z[V][i])) {
     wind(s, ref, z, i);
     return;
   }
+  const int side = beyond(ref[0], ref[1]);
   int turned = second_cover(ref[1]);
-  if (beyond(z[U][i], 0.0) != side)
-    turned ^= over_seam(p, x, y, side, x2, y2);
-  else if (bends && comes_back(p, side, x, y, x2, y2, &there, &found)) {
-    turned ^= over_seam(p, x, y, side, there, found);
-    turned ^= over_seam(p, there, found, !side, x2, y2);
+  mark_t there;
+  if (beyond(z[U][i], 0.0) != side) {
+    turned ^= over_seam(p, from, to, side);
+  } else if (bends && comes_back(p, from, to, side, &there)) {
+    turned ^= over_seam(p, from, there, side);
+    turned ^= over_seam(p, there, to, !side);
   }
   wind_to(s, turned, ref, z, i);
 }
 
 /* ---- anchors ---- */
 
-/* Whether |y| falls towards the interval before place i from both sides */
-static int bends_before(const double *y, int64_t n, int64_t i) {
-  const int falls = i < 2 || fabs(y[i - 2]) >= fabs(y[i - 1]);
-  return falls && (i + 1 == n || fabs(y[i + 1]) >= fabs(y[i]));
+/* Whether |y| falls towards the interval before mark i from both sides */
+static int bends_before(const mark_t *m, int64_t n, int64_t i) {
+  const int falls = i < 2 || fabs(m[i - 2].y) >= fabs(m[i - 1].y);
+  return falls && (i + 1 == n || fabs(m[i + 1].y) >= fabs(m[i].y));
 }
 
 /* Principal coordinates at the anchors' places; at a pole those of the anchor before it */
@@ -201,7 +206,7 @@ static void raw_anchors(const path_t *p, int64_t n, const double *at, const doub
                         double (*raw)[N_COORDINATES]) {
   for (int64_t from = 0; from < n; from += L) {
     double x[L];
-    for (int q = 0; q < L; q++) x[q] = at[from + q < n ? from + q : n - 1];
+    gather(x, at + from, n - from < L ? (int)(n - from) : L);
     lanes_t z = principal(p, x);
     for (int64_t i = from; i < n && i < from + L; i++) {
       double sum = 0.0;
@@ -213,40 +218,46 @@ static void raw_anchors(const path_t *p, int64_t n, const double *at, const doub
   }
 }
 
+/* Places of a track's anchors; returns how many */
+static int64_t anchor_places(work_t *w, const track_t *k, const double **out) {
+  const int64_t parts = k->kind == CIRCLE ? CIRCLE_ANCHORS : PANEL_ANCHORS * k->panels.n;
+  double *at = keep(w, (size_t)parts + 1);
+  for (int64_t i = 0; i < parts; i++) {
+    if (k->kind == CIRCLE) {
+      at[i] = TURN * (double)i / CIRCLE_ANCHORS;
+    } else {
+      const double *edge = k->panels.edges + i / PANEL_ANCHORS;
+      at[i] = edge[0] + (double)(i % PANEL_ANCHORS) / PANEL_ANCHORS * (edge[1] - edge[0]);
+    }
+  }
+  at[parts] = k->kind == CIRCLE ? TURN : k->panels.edges[k->panels.n];
+  *out = at;
+  return parts + 1;
+}
+
 /* Finds the anchors of a track that begins at u v theta. */
 static void anchor_track(work_t *w, const body_t *b, int side, track_t *k, const double *begin) {
-  const int circle = k->kind == CIRCLE;
-  const int64_t n = circle ? CIRCLE_ANCHORS + 1 : PANEL_ANCHORS * k->panels.n + 1;
-  double *at = keep(w, (size_t)n), (*to)[3] = keep(w, (size_t)(3 * n));
-  double (*raw)[N_COORDINATES];
+  const double *at;
+  const int64_t n = anchor_places(w, k, &at);
+  double (*to)[3] = keep(w, (size_t)(3 * n)), (*raw)[N_COORDINATES];
   free(w->raw);
-  if (!(raw = w->raw = malloc((size_t)n * (sizeof *raw + sizeof(double))))) fail(w, NO_MEMORY);
-  double *y = (double *)(raw + n);
-  for (int64_t i = 0; i < n; i++) {
-    const int64_t part = i / PANEL_ANCHORS;
-    const double *edge = circle ? NULL : k->panels.edges + part;
-    if (circle)
-      at[i] = TURN * (double)i / CIRCLE_ANCHORS;
-    else
-      at[i] = i + 1 == n
-                  ? edge[0]
-                  : edge[0] + (double)(i % PANEL_ANCHORS) / PANEL_ANCHORS * (edge[1] - edge[0]);
-  }
+  if (!(raw = w->raw = malloc((size_t)n * (sizeof *raw + sizeof(mark_t))))) fail(w, NO_MEMORY);
+  mark_t *marks = (mark_t *)(raw + n);
   const path_t p = {w, b, k, side};
   raw_anchors(&p, n, at, begin, raw);
   const int twice = b->surface->double_cover;
-  for (int64_t i = 0; i < n; i++) y[i] = twice ? side_of(raw[i][U], raw[i][V]) : 0.0;
+  for (int64_t i = 0; i < n; i++)
+    marks[i] = (mark_t){at[i], twice ? side_of(raw[i][U], raw[i][V]) : 0.0};
   for (int64_t i = 0; i < n; i++) {
     double z[N_COORDINATES][L];
     for (int r = 0; r < N_COORDINATES; r++) z[r][0] = raw[i][r];
     if (i)
-      wind_along(&p, at[i - 1], y[i - 1], to[i - 1], at[i], y[i], twice && bends_before(y, n, i), z,
-                 0);
+      wind_along(&p, marks[i - 1], to[i - 1], marks[i], twice && bends_before(marks, n, i), z, 0);
     else
       wind(b->surface, begin, z, 0);
     to[i][0] = z[U][0], to[i][1] = z[V][0], to[i][2] = z[THETA][0];
   }
-  if (circle) /* a revolution later everything is as before but for whole turns */
+  if (k->kind == CIRCLE) /* a revolution later everything is as before but for whole turns */
     for (int j = 0; j < 3; j++) k->turn[j] = TURN * rint((to[n - 1][j] - to[0][j]) / TURN);
   k->anchor_at = at, k->anchors = (const double (*)[3])to, k->n_anchors = n;
 }
@@ -292,8 +303,8 @@ static void wind_between(const path_t *p, const between_t *w, double x, lanes_t 
     }
     if (!on_seam(u, v)) {
       if (!w->sides) {
-        const double y = side_of(w->before[0], w->before[1]);
-        wind_along(p, w->low, y, w->before, x, side_of(u, v), 1, z, i);
+        const mark_t from = {w->low, side_of(w->before[0], w->before[1])};
+        wind_along(p, from, w->before, (mark_t){x, side_of(u, v)}, 1, z, i);
         return;
       }
       ref = differs ? w->after : w->before;

@@ -289,7 +289,8 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t
   for (int s = 0; s < 2; s++) {
     /* where there is slip, turning it into the contact frame takes the object's theta */
     const int slides = forced || any(m->segment->v) || any(m->side[1].track->offset);
-    const int more = s && turned && slides ? NEED_COORDINATES : accelerated ? NEED_STATE : 0;
+    int more = accelerated ? NEED_STATE : 0;
+    if (s && turned && slides) more |= NEED_COORDINATES;
     sample_body(w, c, s, m, to->count, needs | more);
   }
   if (out[POINTS])
