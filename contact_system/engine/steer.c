@@ -402,9 +402,10 @@ static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z
   if (ready) search(w, count, z);
   for (int l = 0; l < count; l++) off[l] = sqrt(w->best.size[l]);
   for (int i = 0; i < n; i++)
-    for (int j = 0; j < n; j++)
-      memcpy(squares + (i * n + j) * L, w->best.square[i > j ? i : j][i > j ? j : i],
-             L * sizeof(double));
+    for (int j = 0; j <= i; j++) {
+      copy_lanes(squares + (i * n + j) * L, w->best.square[i][j]);
+      copy_lanes(squares + (j * n + i) * L, w->best.square[i][j]);
+    }
   for (int side = 0; side < 2; side++)
     drop_lines(&w->rolled[side].lines), free(w->rolled[side].shape.r);
   const int64_t met = ready ? w->met : -1;

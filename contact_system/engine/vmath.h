@@ -24,6 +24,11 @@ static inline double horner_6(double z, double a, double b, double c, double d, 
   return horner_5(z, a * z + b, c, d, e, f);
 }
 
+static inline double clip(double x, double low, double high) {
+  const double above = x < low ? low : x;
+  return above > high ? high : above;
+}
+
 /* adding and subtracting it rounds to a whole number */
 static const double ROUNDER = 6755399441055744.0;
 /* beyond this the reduction of an angle in three parts loses digits, and libm is asked */
@@ -70,8 +75,8 @@ static inline void v_sincos(double x, double *s, double *c) {
 }
 
 static inline double v_exp(double x) {
-  const double low = x < -700.0 ? -700.0 : x, inside = low > 709.0 ? 709.0 : low;
-  const double shifted = inside * 1.4426950408889634074 + ROUNDER, k = shifted - ROUNDER;
+  const double inside = clip(x, -700.0, 709.0), shifted = inside * 1.4426950408889634074 + ROUNDER;
+  const double k = shifted - ROUNDER;
   const double y = (inside - k * 6.93145751953125e-1) - k * 1.42860682030941723212e-6, z = y * y;
   const double p = y * horner_3(z, 1.26177193074810590878e-4, 3.02994407707441961300e-2,
                                 9.99999999999999999910e-1);

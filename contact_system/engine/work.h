@@ -256,8 +256,7 @@ static void panels_at(const panels_t *p, int64_t row, int64_t rows, const double
   const double end = p->edges[p->n];
   int64_t k = 0;
   for (int i = 0; i < L;) {
-    const double at = x[i] < 0 ? 0 : x[i] > end ? end : x[i];
-    k = interval(p->edges, p->n, at, k);
+    k = interval(p->edges, p->n, clip(x[i], 0.0, end), k);
     const double low = p->edges[k], high = p->edges[k + 1];
     /* a panel may be so short that its inverse is infinite */
     const double pace = high - low > 1e-300 ? 2.0 / (high - low) : 0.0;
@@ -265,10 +264,7 @@ static void panels_at(const panels_t *p, int64_t row, int64_t rows, const double
     double xi[L], part[MAX_STATES][L];
     int stop = i + 1;
     while (stop < L && x[stop] >= from && x[stop] < to) stop++;
-    for (int q = 0; q < L; q++) {
-      const double place = (x[q] - low) * pace - 1.0;
-      xi[q] = place < -1.0 ? -1.0 : place > 1.0 ? 1.0 : place;
-    }
+    for (int q = 0; q < L; q++) xi[q] = clip((x[q] - low) * pace - 1.0, -1.0, 1.0);
     const double *c = p->series + (k * p->rows + row) * TERMS;
     if (i == 0 && stop == L)
       series_at(c, rows, xi, y);
