@@ -407,6 +407,28 @@ static double rounding(const motion_t *m, const nodes_t *at, double half, double
   return 2e-16 * fmax(terms - lost_at(d, after), 0.0) * m->slip * half * most * scale;
 }
 
+/* How long the next panel may be, by the error of one up to `after`; whether that one is taken:
+   then m->state becomes its end. */
+static int judge_panel(motion_t *m, step_t *s, double after, double error, double allowed,
+                       const double *end) {
+  const double span = after - s->tau;
+  /* an error below 1e-30 says no more than one of 1e-30; where a panel is too long, errors fall
+     faster with its length than at order L */
+  const int fits = error <= allowed;
+  const double ratio = 0.9 * pow(allowed / fmax(error, 1e-30), 1.0 / (fits ? L : 1.5 * L));
+  s->span = span, s->known = fits ? LAST_PANEL : REFUSED_PANEL;
+  if (!fits) {
+    s->h = span * fmin(fmax(ratio, 0.35), 0.8);
+    return 0;
+  }
+  double far = 1e-30; /* sizes that the panel spans */
+  for (int64_t r = 0; r < m->n; r++) far = fmax(far, fabs(end[r] - m->state[r]) * m->scale[r]);
+  s->h = span * fmin(fmin(ratio, 2.0), m->reach / far);
+  s->tau = after;
+  memcpy(m->state, end, (size_t)m->n * sizeof *end);
+  return 1;
+}
+
 /* One panel from s->tau: its series to `out`, m->state to its end. Returns 0 where it is refused:
    s->h is what to try next. */
 static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
@@ -432,21 +454,7 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
     if (has_kink(m, out)) error *= KINKED;
     error = fmax(error, error_at_ends(w, m, tau, half, f, end));
   }
-  /* an error below 1e-30 says no more than one of 1e-30; where a panel is too long, errors fall
-     faster with its length than at order L */
-  const int fits = error <= at.allowed;
-  const double ratio = 0.9 * pow(at.allowed / fmax(error, 1e-30), 1.0 / (fits ? L : 1.5 * L));
-  s->span = span, s->known = fits ? LAST_PANEL : REFUSED_PANEL;
-  if (!fits) {
-    s->h = span * fmin(fmax(ratio, 0.35), 0.8);
-    return 0;
-  }
-  double far = 1e-30; /* sizes that the panel spans */
-  for (int64_t r = 0; r < m->n; r++) far = fmax(far, fabs(end[r] - m->state[r]) * m->scale[r]);
-  s->h = span * fmin(fmin(ratio, 2.0), m->reach / far);
-  s->tau = after;
-  memcpy(m->state, end, sizeof end);
-  return 1;
+  return judge_panel(m, s, after, error, at.allowed, end);
 }
 
 /* Room for n panels of a motion's series; what is there stays. */

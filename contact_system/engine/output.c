@@ -278,6 +278,25 @@ static void put_twist(work_t *w, const target_t *to, const contact_t *c, const s
   for (int j = 0; j < 6; j++) put(to, TWIST, j, found[j]);
 }
 
+/* Speed of slip, and slip and acceleration in the contact frame */
+static void put_slip(work_t *w, const target_t *to, const contact_t *c, sample_t *m) {
+  if (to->out[SLIP_SPEED]) {
+    double speed[L];
+    for (int i = 0; i < L; i++) speed[i] = hypot(m->sliding[0][i], m->sliding[1][i]);
+    put(to, SLIP_SPEED, 0, speed);
+  }
+  if (to->out[ACCELERATION]) {
+    double a[2][L];
+    accelerate(w, c, m, a);
+    turn_to_contact_frame(w, m, a);
+    for (int j = 0; j < 2; j++) put(to, ACCELERATION, j, a[j]);
+  }
+  if (to->out[SLIP]) {
+    turn_to_contact_frame(w, m, m->sliding);
+    for (int j = 0; j < 2; j++) put(to, SLIP, j, m->sliding[j]);
+  }
+}
+
 /* A block of times on one track of each body and one interval of slip */
 static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t *to, int needs) {
   double *const *out = to->out;
@@ -303,21 +322,7 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t
   sample_slip(m);
   if (out[TWIST]) put_twist(w, to, c, m);
   if (out[CARRIED]) put_carried(to, m);
-  if (out[SLIP_SPEED]) {
-    double speed[L];
-    for (int i = 0; i < L; i++) speed[i] = hypot(m->sliding[0][i], m->sliding[1][i]);
-    put(to, SLIP_SPEED, 0, speed);
-  }
-  if (out[ACCELERATION]) {
-    double a[2][L];
-    accelerate(w, c, m, a);
-    turn_to_contact_frame(w, m, a);
-    for (int j = 0; j < 2; j++) put(to, ACCELERATION, j, a[j]);
-  }
-  if (out[SLIP]) {
-    turn_to_contact_frame(w, m, m->sliding);
-    for (int j = 0; j < 2; j++) put(to, SLIP, j, m->sliding[j]);
-  }
+  put_slip(w, to, c, m);
 }
 
 /* What stands at times without a frame, at a pole or an umbilic, is not finite. The first of them
