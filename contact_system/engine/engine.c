@@ -64,7 +64,8 @@ static plan_t *make_plan(const double *scene, int64_t size, const surface_t *con
   return plan;
 }
 
-/* Room for a call: the plan's, if `look` has made it keep some, else the caller's own */
+/* Room for a call: the plan's, if `look` has made it keep some, so that steps of an FMU take no
+   memory; else the caller's own */
 static work_t *enter(const plan_t *plan, work_t *own, failure_t *failure) {
   begin_work(own, (plan_t *)plan, failure);
   if (!plan->kept) return own;
