@@ -8,8 +8,7 @@
 #define PI 3.14159265358979323846
 #define TURN 6.28318530717958647693
 
-/* Polynomials, the highest power first. Loops over arrays of them are a quarter slower by gcc -O1.
- */
+/* Polynomials, highest power first; a loop over an array is a quarter slower by gcc -O1. */
 static inline double horner_3(double z, double a, double b, double c) {
   return (a * z + b) * z + c;
 }
