@@ -77,14 +77,14 @@ def test_slip_can_be_drawn_with_another_law_a_jump_and_without_slip(name, tmp_pa
 def test_names_are_drawn_as_they_are(tmp_path):
     matplotlib = pytest.importorskip("matplotlib")
     words = [r"costs $\foo$ and $5", r"$\bar{x$", r"half \frac{ of $x$"]  # no mathematics
-    contact = cs.Contact(finger=FINGER, object_at=(0.3, 0.2), name=words[1])
+    contact = cs.Contact(FINGER, (0.3, 0.2), name=words[1], legs=[cs.Leg(0, 0.1, 1)])
     broken = words[2].replace(" ", "\n")  # and in one line
-    scene = _scene(cs.Sphere(0.1), name=words[0], description=broken)
-    scene = scene.replace(contacts=[contact])
+    scene = _scene(cs.Sphere(0.1), name=words[0], description=broken).replace(contacts=[contact])
+    words.append("σ of legs,   gain time, eta = 4")  # not the profile, which no contact has
     with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text
         plots.plot(cs.plan(scene), tmp_path / "odd.svg")
     drawn = (tmp_path / "odd.svg").read_text()
-    assert [f">{word}<" in drawn for word in words] == [True] * 3
+    assert [f">{word}<" in drawn for word in words] == [True] * 4
 
 
 def test_curves_have_the_numbers_of_the_legend_and_share_them_where_they_coincide(tmp_path):

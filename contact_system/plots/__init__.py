@@ -16,7 +16,7 @@ from ..checks import a_path, finite_number
 from ..errors import ContactSystemError
 from ..measures import exact_slip, windows
 from ..plan import Plan, require_plan
-from ..scene import STILL, Scene, speed
+from ..scene import Scene, speed
 from ..theory.gain import Gain
 from ..theory.profile import Profile
 from ..writing import writing
@@ -136,9 +136,9 @@ def Picture(path: str | os.PathLike, size: tuple[float, float], dpi: int) -> Ite
 def draw_title(figure: Any, plan: Plan) -> None:
     """Name, profile, gain and description of a scene at the top of a figure."""
     scene = plan.scene
-    still = scene.profile == STILL
-    sigma = "of legs" if still else f"= {_polynomial(scene.profile)} m/s"
-    facts = rf"$\sigma$ {sigma},   gain {gain_text(scene.gain)}"
+    legs_alone = all(contact.legs for contact in scene.contacts)
+    sigma = "of legs" if legs_alone else f"= {_polynomial(scene.profile)} m/s"
+    facts = f"σ {sigma},   gain {gain_text(scene.gain)}"
     name = figure.text(0.035, 0.955, shortened(scene.name, 30), size=18, weight="bold")
     right = figure.text(0.965, 0.955, facts, size=10, ha="right", color=GREY)
     if right.get_window_extent().x0 < name.get_window_extent().x1 + 10:  # no room beside the name
@@ -152,9 +152,11 @@ def gain_text(gain: Gain) -> str:
 
 
 def _polynomial(profile: Profile) -> str:
-    with np.printoptions(precision=4):
-        sigma = np.polynomial.Polynomial(profile.coefficients, symbol="t")
-        return shortened(f"{sigma:unicode}", 50)
+    """Such as '0.001 + 0.4·t²': terms of 0 are left out."""
+    raised = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+    powers = ["", "·t", *(f"·t{k}".translate(raised) for k in range(2, len(profile.coefficients)))]
+    terms = [f"{c:.4g}{power}" for c, power in zip(profile.coefficients, powers) if c]
+    return shortened(" + ".join(terms).replace("+ -", "- ") or "0", 50)
 
 
 def contact_keys(scene: Scene) -> list[Any]:
