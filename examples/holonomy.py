@@ -9,7 +9,7 @@ from math import degrees, radians
 import contact_system as cs
 from contact_system.plots import plot_curves
 
-contact = cs.Contact(cs.Sphere(0.04), object_at=(1.0, 0.2))
+contact = cs.Contact(cs.Sphere(0.04), object_at=(1.0, 1.5))
 scene = cs.Scene(
     name="turned by 40 degrees",
     object=cs.Ellipsoid(0.3, 0.2, 0.1),
@@ -17,7 +17,7 @@ scene = cs.Scene(
     profile=cs.Profile([0.1]),
     duration=4.0,
 )
-turned = cs.loop(scene, angle=radians(40), seconds=0.5)
+turned = cs.loop(scene, angle=radians(40))
 plan = cs.plan(turned.scene)
 begin, end = plan.states([0.0, plan.end])[:, 0]
 print(f"psi from {degrees(begin[8]):.3f} to {degrees(end[8]):.3f} degrees")
