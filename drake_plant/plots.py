@@ -26,7 +26,7 @@ from .simulation import HandResult, SimulationResult
 
 SMOOTH = 0.02  # s over which the bold line of a rippling signal is averaged
 BOLD = f"bold: mean of {1e3 * SMOOTH:g} ms"
-INTEGRATED = 2e-4  # of the greatest slip: what the plan has less is its integration's error
+INTEGRATED = 1e-4  # of the greatest path speed: slip of the plan below is its integration's error
 DOTS, APART = 200, 0.02  # most marks on a planned curve, and how far apart, of the picture's size
 
 
@@ -80,7 +80,8 @@ def _draw_slip(ax: Any, result: SimulationResult, closed: bool = True) -> None:
     peak = max(slip.max(), planned.max())
     _each(ax, result.t, slip, linewidth=0.9, linestyle="-" if closed else ":")
     if closed:
-        shown = np.where(planned > INTEGRATED * peak, planned, np.nan)
+        fastest = result.scene.speeds(result.t).max()
+        shown = np.where(planned > INTEGRATED * fastest, planned, np.nan)
         _each(ax, result.t, shown, linewidth=1.6, dashes=(2.2, 1.1))
     ax.set_yscale("log")
     if peak > 0:
