@@ -2,7 +2,7 @@
 
 K2 is disturbed by a wind, an FMU of pythonfmu, which stops when the finger slips. The two FMUs run
 in one system (SSP), and, dashed, in a container of fmu-manipulation-toolbox. In the SSP, fmpy
-passes on the outputs of the previous step.
+passes on the outputs of the previous step. Needs pythonfmu and fmu-manipulation-toolbox.
 """
 
 import os
