@@ -92,7 +92,7 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 
     text = "find legs that take a scene's contacts to goals"
     steer = commands.add_parser("reach", help=text, parents=[scene, planned, results])
-    text = 'a goal, such as "object_at = [2, 1]"; one for each contact, "" where it rests'
+    text = 'a goal, such as "object_at = [2, 1]"; repeat --to for each contact, "" where it rests'
     steer.add_argument("--to", action="append", required=True, metavar="GOAL", help=text)
     text = "look so many seconds for a shorter route; default %(default)g"
     steer.add_argument("--seconds", type=float, default=0.0, metavar="X", help=text)
