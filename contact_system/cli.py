@@ -122,8 +122,8 @@ def _common() -> list[argparse.ArgumentParser]:
     planned.add_argument("--gain", choices=tuple(LAWS), help="gain law instead of the scene's")
     number = planned.add_mutually_exclusive_group()
     for name in _gain_parameters():
-        laws = " and ".join(key for key, law in LAWS.items() if law.parameter == name)
-        text = f"{name} of the gain law {laws}; default: the number of the scene's own law"
+        laws = " or ".join(key for key, law in LAWS.items() if law.parameter == name)
+        text = f"{name}, for the gain law {laws}; default: the number of the scene's own law"
         number.add_argument(f"--{name}", type=float, metavar="X", help=text)
     text = "error of contact points over the body's size; default %(default)g"
     planned.add_argument("--tolerance", type=float, default=1e-12, metavar="X", help=text)
