@@ -218,11 +218,9 @@ def test_sigma_that_falls_from_zero_is_refused_at_the_start(kind, version):
     start = LINE | {"profile[1]": 0.0}
     one.refused("is negative", lambda: one.begin(start=start))
     late = Instance(K1, kind, version)
-    late.put(LINE)
-    late.refused("is negative from t = 1.6 s on", late.begin, 1.6)
-    short = Instance(K1.replace(duration=1e-3), kind, version)
-    short.put(LINE)
-    short.begin().refused("is negative from t = 1.5 s on", short.step, 2.0)
+    late.refused("is negative from t = 1.6 s on", lambda: late.begin(1.6, start=LINE))
+    short = Instance(K1.replace(duration=1e-3), kind, version).begin(start=LINE)
+    short.refused("is negative from t = 1.5 s on", short.step, 2.0)
 
 
 @of_blocks
@@ -300,6 +298,8 @@ def test_a_step_that_would_take_too_many_pieces_is_refused(version):
     one = Instance(K4, "FMU", version).begin(start=start | {"profile[2]": 0.0, "profile[3]": 0.0})
     one.refused("too long", one.step, 50.0)
     one.step(1e-3)
+    one.put({PUSH: 1e100})  # nor are there derivatives, at the states of a time before
+    one.refused("too long", one.directional, ["der(contact[1].frame.slip.x)"], [PUSH], [1.0])
 
 
 @of_blocks

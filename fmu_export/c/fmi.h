@@ -236,9 +236,9 @@ FMI_EXPORT status_t FMI(SetReal)(void *instance, const unsigned vr[], size_t cou
 
 /* Products with the matrix of derivatives, from the seed's direction along all knowns; transposed:
    from those along each known, L at once, as the seed is of the unknowns. */
-static void multiply(component_t *c, int transposed, const unsigned unknowns[], size_t n_unknowns,
-                     const unsigned knowns[], size_t n_knowns, const double *seed, double *value,
-                     size_t n) {
+static status_t multiply(component_t *c, int transposed, const unsigned unknowns[],
+                         size_t n_unknowns, const unsigned knowns[], size_t n_knowns,
+                         const double *seed, double *value, size_t n) {
   size_t at = 0;
   if (transposed) memset(value, 0, n * sizeof *value);
   for (long i = 0; i < c->model->n_contacts; i++) c->live[i].derived = 0;
@@ -255,7 +255,8 @@ static void multiply(component_t *c, int transposed, const unsigned unknowns[], 
         c->grows[r][at - done] = 1.0;
       at++;
     }
-    derive(c);
+    const status_t s = derive(c);
+    if (s) return s;
     at = 0;
     EACH_VALUE(r, unknowns, n_unknowns) {
       for (size_t d = 0; d < more && transposed && seed[at] != 0.0; d++)
@@ -264,6 +265,7 @@ static void multiply(component_t *c, int transposed, const unsigned unknowns[], 
       at++;
     }
   }
+  return OK;
 }
 
 /* Transposed, the seed is of the unknowns, and products are of the knowns. */
@@ -284,7 +286,7 @@ static status_t products(component_t *c, int transposed, const unsigned unknowns
     if (kind_of(c->model, knowns[k]) == CALCULATED)
       REFUSE("%s is not a known; give inputs, states or parameters", name_of(c->model, knowns[k]));
   status_t s = SYSTEM(c->now) ? OK : settle(c, "values", c->now->time);
-  if (!s) multiply(c, transposed, unknowns, n_unknowns, knowns, n_knowns, seed, value, n);
+  if (!s) s = multiply(c, transposed, unknowns, n_unknowns, knowns, n_knowns, seed, value, n);
   for (size_t k = 0; k < n_to && !s; value += SIZE(c, to[k]), k++)
     s = check_found(c, to[k], value, SIZE(c, to[k]));
   return s;

@@ -146,12 +146,13 @@ static void grow_results(component_t *c, long i) {
 }
 
 /* Results of the contacts that are asked for, from what stands in c->grows of the other values */
-static void derive(component_t *c) {
+static status_t derive(component_t *c) {
   for (long i = 0; i < c->model->n_contacts; i++) {
-    double state; /* the first, which brings all up to date */
     if (!c->live[i].derived) continue;
-    if (!SYSTEM(c->now)) get_values(c, (unsigned)c->model->layout[i].at[OF_STATES], 1, &state);
+    const status_t s = SYSTEM(c->now) ? OK : find(c, i, BIT(OF_STATES));
+    if (s) return s;
     grow_windows(c, i);
     grow_results(c, i);
   }
+  return OK;
 }
