@@ -11,7 +11,7 @@ from pathlib import Path
 import fmpy
 from fmpy.model_description import ModelDescription
 
-from contact_system.checks import did_you_mean
+from contact_system.checks import did_you_mean, items_of
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
@@ -93,9 +93,10 @@ def _structure(
 ) -> str:
     """The text of SystemStructure.ssd (SSP 1.0, section 5), of models' files and descriptions."""
     connectors = {name: _new("Connectors") for name in ("", *models)}
-    wires, taken = _new("Connections"), set[tuple[str, str]]()
+    wires, kinds = _new("Connections"), dict[tuple[str, str], str]()
     for pair in connections:
-        if isinstance(pair, str) or len(ends := [*pair]) != 2:
+        ends = items_of(pair)
+        if len(ends) != 2 or not all(isinstance(end, str) for end in ends):
             raise ContactSystemError(
                 f"connections: {pair!r}: give pairs, of an output and an input"
             )
@@ -103,20 +104,21 @@ def _structure(
         types = [kind for _, _, kind in places if kind]
         if not types:
             raise ContactSystemError(f"connections: {pair!r}: neither is a variable of a model")
-        if places[1][:2] in taken:
-            raise ContactSystemError(
-                f"connections: {pair!r}: {places[1][1]!r} is connected already"
-            )
         line: dict[str, str] = {}
         for side, (model, variable, own) in zip(("start", "end"), places):
             # what goes into the system is an input of it and goes out to its models
             kind = "output" if (side == "start") == bool(model) else "input"
-            if (model, variable) not in taken:  # SSP wants an enumeration again, or no type
+            before = kinds.get((model, variable))
+            if before and (side == "end" or before != kind):
+                raise ContactSystemError(
+                    f"connections: {pair!r}: {variable!r} is connected already, as an {before}"
+                )
+            if not before:  # SSP wants an enumeration again, or no type
                 connector = _new("Connector", name=variable, kind=kind)
                 if (of := own or types[0]) != "Enumeration":
                     ET.SubElement(connector, f"{{{_SSC}}}{of}")
                 connectors[model].append(connector)
-            taken.add((model, variable))
+            kinds[model, variable] = kind
             line |= {f"{side}Element": model} if model else {}
             line[f"{side}Connector"] = variable
         wires.append(_new("Connection", **line))

@@ -41,11 +41,8 @@ def test_a_planner_is_pushed_by_another_models_output(tmp_path):
 
 
 def test_disturbances_come_in_through_the_system_and_planners_do_not_mix(tmp_path):
-    wires = [
-        ("push", f"../right.{PUSH}"),
-        (f"100%.{SLIP}", "first"),
-        (f"../right.{SLIP}", "second"),
-    ]
+    wires = [("push", f"../right.{PUSH}"), (f"100%.{SLIP}", "first")]
+    wires += [(f"../right.{SLIP}", "second")]
     path = export_ssp({"100%": LEFT, "../right": RIGHT}, tmp_path / "two.ssp", iter(wires))
     inside = ["SystemStructure.ssd", "resources/1.fmu", "resources/2.fmu"]
     with zipfile.ZipFile(path) as archive:
@@ -95,7 +92,8 @@ def test_what_are_no_models_by_name_is_refused(models, words, tmp_path):
         ([(f"a.{SLIP}s", "slip")], r"is no output of 'a' \(did you mean 'contact\[1\].slip_speed'"),
         ([("in", f"a.{PUSH}"), (f"a.{SLIP}", f"a.{PUSH}")], "is connected already"),
         ([("in", "out")], "neither is a variable of a model"),
-        (["in"], "give pairs"),
+        ([(f"a.{SLIP}", "x"), ("x", f"a.{PUSH}")], "'x' is connected already, as an output"),
+        *(([wire], "give pairs") for wire in ("in", 5, (1, 2))),
     ],
 )
 def test_connections_that_cannot_be_are_refused(wires, words, tmp_path):
