@@ -30,7 +30,7 @@ typedef struct {
 #define FAILED fmi2Error
 #define BYTE fmi2Byte
 /* elements are variables; time is none */
-#define SIZE(c, r) (unsigned)((r) > 0 && (long)(r) < (c)->model->n_values)
+#define SIZE(c, r) (unsigned)((r) > 0 && (r) < (unsigned)(c)->model->n_values)
 #define BOOLEAN int
 #define ROOM(n)
 #define ROOM_OF(count, n) (count)

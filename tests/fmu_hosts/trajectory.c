@@ -27,6 +27,8 @@ int main(int count, char **argument) {
     for (size_t j = 0; j < m.n_values; j++) printf("%.17g ", value[j]);
     printf("\n");
   }
+  const unsigned none = 4294967295u; /* negative where long has 32 bits */
+  if (!get(fmu, &none, 1, value, 1)) stop("there is a value without a variable");
   if (reset(fmu)) stop("no reset");
   release(fmu);
   return 0;
