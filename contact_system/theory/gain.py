@@ -275,7 +275,9 @@ def _least_gain(profile: Profile, law: Law, duration: float) -> float:
 def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[float, float], ...]:
     """Intervals on which sigma' - lam sigma < 0."""
     intervals: list[tuple[float, float]] = []
-    knots = _spread(profile, profile.knots(0.0, duration))
+    knots = profile.knots(0.0, duration)
+    stretches = zip(knots, knots[1:])
+    knots = *(t for s in stretches for t in _parts(profile, *s, 1e-3 * duration)), duration
     for start, stop in zip(knots, knots[1:]):
         # expanded about its middle, where cancellation is least
         middle = 0.5 * (start + stop)
@@ -293,18 +295,17 @@ def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[flo
     return tuple(intervals)
 
 
-def _spread(profile: Profile, knots: Sequence[float]) -> list[float]:
-    """The knots, and more where sigma changes much from one to the next.
+def _parts(profile: Profile, start: float, stop: float, shortest: float) -> list[float]:
+    """Where parts of a stretch begin on which sigma changes little enough for one expansion.
 
     One expansion of sigma^3 would cancel where sigma is far below its greatest value there.
     """
-    pieces, shortest = [*zip(knots, knots[1:])], 1e-3 * (knots[-1] - knots[0])
-    for start, stop in pieces:  # halves are appended, and looked at too
-        low, high = sorted((profile(start), profile(stop)))
-        if high > CHANGE * low and stop - start > shortest:
-            middle = 0.5 * (start + stop)
-            pieces += [(start, middle), (middle, stop)]
-    return sorted({t for piece in pieces for t in piece})
+    low, high = sorted((profile(start), profile(stop)))
+    if high <= CHANGE * low or stop - start <= shortest:
+        return [start]
+    middle = 0.5 * (start + stop)
+    halves = (start, middle), (middle, stop)
+    return [t for half in halves for t in _parts(profile, *half, shortest)]
 
 
 def _slip_factors(
