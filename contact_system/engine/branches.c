@@ -138,10 +138,15 @@ static int comes_back(const path_t *p, mark_t a, mark_t c, int negative, mark_t 
     if (i == 0) {
       b = now;
     } else if (now.y < b.y) {
-      *(at < b.x ? &c : &a) = b;
+      if (at < b.x)
+        c = b;
+      else
+        a = b;
       b = now;
+    } else if (at < b.x) {
+      a = now;
     } else {
-      *(at < b.x ? &a : &c) = now;
+      c = now;
     }
     const double s1 = (b.y - a.y) / (b.x - a.x), s2 = (c.y - b.y) / (c.x - b.x);
     const double bend = (s2 - s1) / (c.x - a.x);
