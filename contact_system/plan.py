@@ -266,31 +266,14 @@ class Plan:
         """
         after = self.scene if scene is None else scene
         require_scene(after)
-        t = self._time(t)
+        t = self._goes_on(t, after, "continued")
         where = f"{after.title}, continued at t = {t:g} s"
-        if not t < after.duration:
-            raise SceneError(
-                f"{where}: nothing is left to plan, the scene ends at "
-                f"{after.duration:g} s; continue earlier or lengthen the scene"
-            )
         if after.surfaces != self.scene.surfaces:
             raise SceneError(
                 f"{where}: the scene has other surfaces or contacts than the plan; give one with "
                 "the same"
             )
         self._require_frames("continued")
-        self._require_same_contacts(after, t, where)
-        return Plan(after, self.tolerance, self.method, self.solver, t, self.moments(t))
-
-    def _require_same_contacts(self, after: Scene, t: float, where: str) -> None:
-        """Raise a SceneError if a scene's contacts do not go on from this plan's at time t."""
-        for s in (self.scene, after):
-            for i, contact in enumerate(s.contacts):
-                if contact.follows:
-                    raise SceneError(
-                        f"continued at t = {t:g} s: {s.title}, contact {i}: imposed rolling "
-                        "cannot be continued; give finger_velocity as numbers"
-                    )
         for i, (old, new) in enumerate(zip(self.scene.contacts, after.contacts)):
             begun = [
                 [(leg.start, leg.turn) for leg in s.way(i) if leg.start <= t]
@@ -302,6 +285,25 @@ class Plan:
                     "the same contact, on which only legs that begin after t may be others, or "
                     "continue earlier"
                 )
+        return Plan(after, self.tolerance, self.method, self.solver, t, self.moments(t))
+
+    def _goes_on(self, t: Any, scene: Scene, how: str) -> float:
+        """The time at which a plan of the scene goes on from this one; errors say how it does."""
+        t = self._time(t)
+        where = f"{scene.title}, {how} at t = {t:g} s"
+        if not t < scene.duration:
+            raise SceneError(
+                f"{where}: nothing is left to plan, the scene ends at {scene.duration:g} s; go on "
+                "earlier or lengthen the scene"
+            )
+        for s in (self.scene, scene):
+            for i, contact in enumerate(s.contacts):
+                if contact.follows:
+                    raise SceneError(
+                        f"{where}: {s.title}, contact {i}: imposed rolling cannot go on; give "
+                        "finger_velocity as numbers"
+                    )
+        return t
 
     def moments(self, t: float) -> Starts:
         """Every contact as it is at time t, from which :meth:`continued` starts."""
@@ -331,33 +333,19 @@ class Plan:
             A wrong shape, NaN, a contact at a pole or an umbilic, sigma(t) = 0, no time left to
             plan, or contacts with imposed rolling.
         """
-        where, shape = f"{self.scene.title}, restart", (len(self.scene.contacts), 9)
-        t = self._time(t)
-        remedy = f"numbers, shape {shape}"
-        measured = shaped_array(state, f"{where}: state", remedy=remedy)
+        t = self._goes_on(t, self.scene, "restart")
+        what, shape = f"{self.scene.title}, restart: state", (len(self.scene.contacts), 9)
+        measured = shaped_array(state, what, remedy=f"numbers, shape {shape}")
         measured = measured[0] if measured.ndim == 3 and len(measured) == 1 else measured
-        shaped_array(measured, f"{where}: state", shape)
-        if not t < self.end:
-            raise SceneError(
-                f"{where} at t = {t:g} s: nothing is left to plan, the scene ends at "
-                f"{self.end:g} s; restart earlier or lengthen the scene"
-            )
-        measured = self._on_branch(t, measured)
-        offsets, starts = acting(self.scene, t)[:, 4:], []
-        for i, contact in enumerate(self.scene.contacts):
-            if contact.follows:
-                raise SceneError(
-                    f"{where}: contact {i} has imposed rolling; give finger_velocity as numbers"
-                )
-            starts.append(measured_start(self.scene, i, t, measured[i], offsets[i]))
+        shaped_array(measured, what, shape)
+        if any(surface.double_cover for surface in self.scene.surfaces):
+            with contextlib.suppress(ChartSingularity):  # at an umbilic the plan has no branch
+                measured = on_branch(self.scene, measured, self.states(t)[0])
+        offsets = acting(self.scene, t)[:, 4:]
+        starts = [
+            measured_start(self.scene, i, t, *seen) for i, seen in enumerate(zip(measured, offsets))
+        ]
         return Plan(self.scene, self.tolerance, self.method, self.solver, t, starts)
-
-    def _on_branch(self, t: float, measured: np.ndarray) -> np.ndarray:
-        """Measured states on the plan's branch of charts that cover their surface twice."""
-        with contextlib.suppress(ChartSingularity):  # at an umbilic the plan has no branch
-            if any(surface.double_cover for surface in self.scene.surfaces):
-                return on_branch(self.scene, measured, self.states(t)[0])
-        return measured
 
     def save(self, path: str | os.PathLike, times: ArrayLike | None = None) -> None:
         """Write the plan and its sampled results.

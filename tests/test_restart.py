@@ -98,7 +98,7 @@ def test_restart_refuses_what_it_cannot_start_from():
         with pytest.raises(cs.ContactSystemError, match=words):
             plan.restart(t, given)
     dragged = cs.plan(cs.load_scene("C2"))
-    with pytest.raises(cs.SceneError, match="'C2', restart: contact 0 has imposed rolling"):
+    with pytest.raises(cs.SceneError, match="'C2', contact 0: imposed rolling cannot go on"):
         dragged.restart(0.5, dragged.states(0.5)[0])
 
 
@@ -159,7 +159,7 @@ def test_continuing_refuses_other_surfaces_the_end_and_imposed_rolling():
     (contact,) = plan.scene.contacts
     imposed = {"finger_velocity": "rolling", "object_velocity": (0.2, 1.0)}
     rolling = plan.scene.replace(contacts=[dataclasses.replace(contact, **imposed)])
-    once = "contact 0: imposed rolling cannot be continued"
+    once = "contact 0: imposed rolling cannot go on"
     for own, t, other, words in (
         (plan, 0.5, one_contact("ellipsoid"), "at t = 0.5 s: the scene has other surfaces"),
         (plan, 1.0, None, "at t = 1 s: nothing is left to plan"),
