@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .checks import shaped_array
 from .errors import ContactSystemError
-from .plan import Plan, each_once, require_plan
+from .plan import Plan, require_plan
 from .scene import STILL, Scene
 from .theory import equations
 from .theory.gain import contraction
@@ -126,7 +126,7 @@ def rejections(plan: Plan) -> list[Rejection]:
     disturbed = {w for i in range(len(plan.scene.contacts)) for w in windows(plan, i)}
     inside = [np.linspace(start, min(stop, plan.end), 65) for start, stop in disturbed]
     times = [changes[changes > plan.start], np.nextafter(edges, plan.start), *inside]
-    t = each_once(plan.sample_times(1001), *times)
+    t = np.unique(np.concatenate([plan.sample_times(1001), *times]))
     slip = plan.slip_speed(t)
     since, level, last = _last_slip(plan, t, slip)
     reported = math.nan
@@ -218,7 +218,7 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
     require_plan(plan)
     stops = np.array([d.stop for d in plan.scene.disturbances if d.stop > plan.start])
     grid = np.linspace(plan.start, plan.end, SAMPLES)
-    t = each_once(grid, stops, np.nextafter(stops, plan.start))
+    t = np.unique(np.concatenate([grid, stops, np.nextafter(stops, plan.start)]))
     slip = plan.slip_speed(t)
     since, level, last = _last_slip(plan, t, slip)
     each, k = np.arange(slip.shape[1]), np.clip(last, 0, len(t) - 2)

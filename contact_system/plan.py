@@ -393,7 +393,7 @@ class Plan:
         grid, spacing = np.linspace(self.start, self.end, count, retstep=True)
         edges = np.array([e for e in self.scene.edges if e >= self.start])
         same = (np.abs(grid[:, None] - edges) < 1e-9 * spacing).any(axis=1)
-        return each_once(grid[~same], edges)
+        return np.union1d(grid[~same], edges)
 
     def regular_times(self, t: ArrayLike) -> np.ndarray:
         """The times, s, without those at which :meth:`states` raises a ChartSingularity: (m,)."""
@@ -444,12 +444,6 @@ def checked_tolerance(value: Any) -> float:
     if not 1e-15 <= number <= 0.1:
         raise SceneError(f"tolerance = {value!r}: give a number from 1e-15 to 1e-1")
     return number
-
-
-def each_once(*times: ArrayLike) -> np.ndarray:
-    """All the times, ascending: (n,). numpy's unique would first import its masked arrays."""
-    t = np.sort(np.concatenate(times))
-    return t[np.append(True, t[1:] != t[:-1])]
 
 
 def _one_axis(t: ArrayLike) -> np.ndarray:
