@@ -39,8 +39,7 @@ LONGEST_STEP = 0.5  # of a curved body's size, where bodies are far apart
 SEEN = 22  # numbers of a measurement
 # columns of what is found, those of `measured_contact` behind the next unknowns
 STEP, RELATIVE, STATES, SLIP, ON_FINGER = 0, 1, slice(2, 11), slice(11, 13), slice(13, 16)
-ON_OBJECT, FRAME, NORMAL, GAP = slice(16, 19), slice(19, 28), slice(25, 28), 36
-VELOCITY, FOUND = slice(37, 40), 40
+ON_OBJECT, FRAME, NORMAL, GAP, FOUND = slice(16, 19), slice(19, 28), slice(25, 28), 36, 37
 
 
 def measured_states(
@@ -132,7 +131,7 @@ class ContactSensor:
 
         Returns
         -------
-        (n, 40)
+        (n, 37)
             What each probe has `found`.
         """
         rows = []
@@ -174,13 +173,12 @@ class Probe:
         Inputs, written by the caller: the upper three rows of X_OF, row by row; V_OF_O; the place
         of slip, from 0 at the object's surface to 1 at the finger's; whether slip is known, and
         then v_rel in E2, m/s, which replaces the slip of the twist.
-    found : (40,)
+    found : (37,)
         Not finite where there is no contact frame. Length of the next step of Newton's method, m;
         det of the relative curvature over its square, 0 where bodies conform; u1 v1 u1' v1' u2 v2
         u2' v2' psi, principal values; v_rel in E2, m/s; x_1 on the finger and x_2 on the object,
         each in its body's frame, m; E2, column by column, in the object's frame; K_2, K_1 in E2,
-        1/m; distance along the normal, negative where the bodies overlap, m; velocity of the
-        contact point on the object, in its frame, m/s.
+        1/m; distance along the normal, negative where the bodies overlap, m.
     """
 
     def __init__(self, finger: Surface, obj: Surface, small: float):
@@ -319,7 +317,7 @@ def measured_contact(finger: Surface, obj: Surface) -> list[ca.SX]:
     slip is known, known slip (2).
     constants: sign, parameters and size of the finger, and of the object.
     results: next unknowns, length of the step, det of the relative curvature over its square,
-    states (9), slip (2), x_1, x_2 (6), E2 (9), K_2, K_1 in E2 (8), gap, velocity (3); M_1, M_2 (8).
+    states (9), slip (2), x_1, x_2 (6), E2 (9), K_2, K_1 in E2 (8), gap; M_1, M_2 (8).
     """
     pose, twist, share = ca.SX.sym("pose", 12), ca.SX.sym("twist", 6), ca.SX.sym("share")
     is_known, known = ca.SX.sym("is_known"), ca.SX.sym("known", 2)
@@ -355,7 +353,6 @@ def measured_contact(finger: Surface, obj: Surface) -> list[ca.SX]:
         ca.vertcat(ca.vec(body.tangents), body.normal),
         ca.vertcat(ca.vec(body.curvature), ca.vec(map_21 @ tip.curvature @ map_21)),
         ca.dot(body.normal, between),
-        body.tangents @ a2,
         ca.vertcat(ca.vec(tip.metric_root), ca.vec(body.metric_root)),
     ]
 

@@ -216,7 +216,7 @@ class Chains:
         return self.plant.CalcInverseDynamics(self.context, a, forces)
 
     def touch(self, i: int, X_WO: RigidTransform, twist: Any = 0.0) -> Array:
-        """What a probe finds of a tip and the object (see :class:`Probe`), (40,), not to be kept.
+        """What a probe finds of a tip and the object (see :class:`Probe`), (37,), not to be kept.
 
         twist : V_OF_O, (6,)
         """
