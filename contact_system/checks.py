@@ -226,12 +226,9 @@ def rigid_motion(
     return pose
 
 
-def flag(value: Any, what: str, none: bool = False) -> Any:
-    """The value as a bool, or None if that is allowed; raises a SceneError for any other."""
-    if none and value is None:
-        return None
-    remedy = "True or False" + ", or None" * none  # "no" would count as true
-    return bool(of_kind((bool, np.bool_), value, what, remedy))
+def flag(value: Any, what: str) -> bool:
+    """The value as a bool; raises a SceneError for any other, as "no" would count as true."""
+    return bool(of_kind((bool, np.bool_), value, what, "True or False"))
 
 
 def a_path(value: Any, what: str = "path") -> Path:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import a_path, finite_number, flag, of_kind, one_of, shaped_array, whole_number
+from .checks import a_path, finite_number, of_kind, one_of, shaped_array, whole_number
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .planning.motion import SHAPES, Motion
 from .planning.starts import Starts, measured_start, on_branch
@@ -59,8 +59,6 @@ def plan(
     ContactSystemError
         Naming the scene, the contact, the value and the remedy.
     """
-    if compiled is not None:
-        flag(compiled, "compiled")
     return Plan(scene, tolerance, method, solver)
 
 

@@ -142,7 +142,6 @@ def sweep(
     of_kind(Callable, evaluate, "evaluate", "a function of a plan, or of a scene with each=True")
     remedy = "an executor, such as ProcessPoolExecutor(4) or a Dask client's get_executor()"
     of_kind((Executor, type(None)), executor, "executor", remedy)
-    flag(compiled, "compiled", none=True)
     tolerance = checked_tolerance(tolerance)
     run = functools.partial(run_chunk, evaluate, None if each else tolerance, os.getpid())
     if folder is not None:  # absolute, as the current folder may change before results are read
