@@ -509,10 +509,8 @@ def number_names(surface: Surface, first: int = 0) -> tuple[str, ...]:
 def system_table(system: SceneSystem, *outputs: str) -> tuple[Table, list[int]]:
     """The engine's table (t, x, w, held | p) -> outputs, and the index at which each one ends."""
     with making_symbols():
-        function = system.function(*outputs)
-        inputs = [ca.SX.sym(name, function.size1_in(name)) for name in INPUTS]
-        values = function.call(inputs)
-        *point, p = inputs
+        values = [ca.densify(system._expression(name)) for name in outputs]
+        *point, p = system._symbols.values()
         flat = ca.Function("flat", [ca.vertcat(*point), p], [ca.vertcat(*values)])
     return Table(flat), np.cumsum([value.numel() for value in values]).tolist()
 
