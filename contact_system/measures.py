@@ -48,7 +48,7 @@ def exact_slip(plan: Plan, contact: int) -> tuple[np.ndarray, np.ndarray]:
     grid = np.union1d(np.linspace(plan.start, plan.end, 25), knots)
     times, values = [np.empty(0)], [np.empty(0)]
     ways = itertools.product(plan.scene.way(contact), zip(knots[::2], knots[1::2]))
-    for (begin, end, _, profile, _), (start, stop) in ways:
+    for (begin, end, profile, _), (start, stop) in ways:
         tau = grid[(grid >= max(start, begin)) & (grid <= min(stop, end))] - begin
         tau = tau[profile(tau) > 0]
         if stop <= start or not len(tau):
@@ -164,7 +164,7 @@ def _last_slip(plan: Plan, t: np.ndarray, slip: np.ndarray) -> tuple[np.ndarray,
 def _monotonic(scene: Scene) -> np.ndarray:
     """Times, s, between which undisturbed slip only grows or only shrinks on a leg."""
     times = set()
-    for start, stop, _, profile, _ in {s for i in range(len(scene.contacts)) for s in scene.way(i)}:
+    for start, stop, profile, _ in {s for i in range(len(scene.contacts)) for s in scene.way(i)}:
         if profile != STILL:
             intervals = contraction(profile, scene.gain, stop - start).intervals
             times |= {start + t for interval in intervals for t in interval}

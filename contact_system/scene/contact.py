@@ -159,7 +159,7 @@ class Contact:
         """The legs on a horizon [s]; without legs, one stretch with the scene's profile."""
         if self.legs:
             return stretches(self.legs, duration)
-        return (Stretch(0.0, duration, 0.0, profile),)
+        return (Stretch(0.0, duration, profile),)
 
     @property
     def follows(self) -> bool:

@@ -14,6 +14,7 @@ from ..errors import SceneError
 from ..theory.profile import Profile, clear_value, polynomial
 
 STILL = Profile([0.0])
+STRAIGHT = (1.0, 0.0)
 _LONGEST = 1e15  # s
 _JUMP = 1e-9  # of the greatest sigma: rounding difference allowed between legs that meet
 
@@ -92,7 +93,6 @@ class Stretch(NamedTuple):
     Attributes
     ----------
     start, stop : float, s
-    direction : float, rad
     profile : Profile
         sigma over the time since ``start``.
     turn : (float, float)
@@ -101,9 +101,8 @@ class Stretch(NamedTuple):
 
     start: float
     stop: float
-    direction: float
     profile: Profile
-    turn: tuple[float, float] = (1.0, 0.0)
+    turn: tuple[float, float] = STRAIGHT
 
 
 def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
@@ -116,10 +115,10 @@ def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
             stop = duration
         angle = leg.direction - before
         turn = math.cos(angle), math.sin(angle)
-        result.append(Stretch(start, stop, leg.direction, leg.profile, turn))
+        result.append(Stretch(start, stop, leg.profile, turn))
         start, before = stop, leg.direction
     if start < duration or not _ends(result[-1])[1]:  # a rest of 0 s goes on beyond the horizon
-        result.append(Stretch(start, duration, before, STILL))
+        result.append(Stretch(start, duration, STILL))
     return tuple(result)
 
 
@@ -156,7 +155,7 @@ def check_legs(legs: Sequence[Leg], duration: float) -> None:
     for k, (one, other) in enumerate(zip(way, way[1:])):
         ends = _ends(one)[1], _ends(other)[0]
         with naming(f"legs[{k}]"):
-            if any(ends) and one.direction != other.direction:
+            if any(ends) and other.turn != STRAIGHT:
                 raise SceneError(
                     f"sigma = {max(ends):.6g} m/s at t = {one.stop:.9g} s, where the path turns; "
                     "let sigma end and begin at 0 there, as without a profile"
