@@ -22,8 +22,8 @@ Array = np.ndarray
 
 MET = 1e-13  # of the size: distance from b at which a geodesic has met it
 NEAR = 3e-8  # of the surface's detail, and rad: from so near, one step of Newton's method meets b
-# error of a step, of the size: of a result, of a geodesic near b, and of a ray of a fan
-SHARP, FINE, ROUGH = 5e-15, 1e-9, 1e-4
+SHARP, ROUGH = 5e-15, 1e-4  # error of a step, of the size: of a geodesic, and of a ray of a fan
+STEPS = 25  # most of Newton's method
 RAYS = 64  # of a fan
 # A strip is flat across where its chord and its arc differ by less than this part, and it is not
 # wider than this part of the size. On a disk of thickness 0.02 that saves 12/13 of the time.
@@ -95,7 +95,7 @@ class Search:
     def shortest(self) -> tuple[Array, Array]:
         """Directions and lengths of the shortest geodesic of each pair."""
         every = np.arange(len(self.pairs.chord))
-        phi, s, met, _ = self.aim(every, *self.chords(every), steps=12)
+        phi, s, met, _ = self.aim(every, *self.chords(every))
         which = np.flatnonzero(~met | (s > self.surface.injectivity * (1 + 1e-12)))
         s[~met] = math.inf
         # the time that a fan takes grows fast with its reach on thin bodies
@@ -110,7 +110,7 @@ class Search:
                     f"{self.pairs.x[k].tolist()} to {self.pairs.b[k].tolist()}; are both on one "
                     "connected piece of it?"
                 )
-            for k, direction, length, _ in zip(*self.within_reach(which, reach)):
+            for k, direction, length, _ in zip(*self.within_reach(*self.fan(which, reach))):
                 if length < s[k]:
                     phi[k], s[k] = direction, length
             missing = s[which] > reach
@@ -125,7 +125,9 @@ class Search:
             longest *= 1 + 1e-12  # on a sphere it is just met
         reach = np.minimum(2 * self.pairs.chord, longest)
         while True:
-            _, phi, s, j = self.within_reach(only, reach)
+            # rays have no sample close to a: the chord finds b there
+            both = zip(self.fan(only, reach), (only, *self.chords(only), reach))
+            _, phi, s, j = self.within_reach(*map(np.concatenate, both))
             kept: list[int] = []
             for i in np.argsort(s):
                 # several aims may find the same geodesic
@@ -136,12 +138,11 @@ class Search:
                 return phi[kept], s[kept]
             reach = np.minimum(1.5 * reach, longest)
 
-    def within_reach(self, which: Array, reach: Array) -> list[Array]:
-        """Geodesics that are not longer than the reach: pair, direction, length and J."""
-        pair, phi, s, limit = self.fan(which, reach)
-        phi, s, met, j = self.aim(pair, phi, s)
-        met &= s <= limit
-        return [w[met] for w in (pair, phi, s, j)]
+    def within_reach(self, which: Array, phi: Array, s: Array, reach: Array) -> list[Array]:
+        """What candidates lead to and is not longer than the reach: pair, direction, length, J."""
+        phi, s, met, j = self.aim(which, phi, s)
+        met &= s <= reach
+        return [w[met] for w in (which, phi, s, j)]
 
     # -- aiming
 
@@ -154,44 +155,30 @@ class Search:
         angle = np.arctan2(rise, np.hypot(ahead, aside))
         return np.arctan2(aside, ahead), chord / np.sinc(angle / math.pi)
 
-    def aim(
-        self, which: Array, phi: Array, s: Array, steps: int = 25
-    ) -> tuple[Array, Array, Array, Array]:
+    def aim(self, which: Array, phi: Array, s: Array) -> tuple[Array, Array, Array, Array]:
         """Newton's method: the directions and lengths found, whether they meet b, and J."""
         size, n = self.surface.size, len(phi)
         phi, s, off, field = phi.copy(), s.copy(), np.full(n, math.inf), np.zeros(n)
         active = np.argsort(s)  # geodesics that share steps should have similar lengths
-        tolerance = np.full(n, ROUGH)
-        for _ in range(steps):
+        for _ in range(STEPS):
             k = which[active]
-            end = self.follow(self.pairs.start(k, phi[active]), s[active], tolerance)
+            end = self.follow(self.pairs.start(k, phi[active]), s[active], SHARP)
             r, j = self.pairs.b[k].T - end[:3], end[9]
             away = np.sqrt(np.einsum("ij,ij->j", r, r))
             along, aside = (np.einsum("ij,ij->j", r, w) for w in (end[3:6], end[6:9]))
             turn = aside * j / (j**2 + (1e-12 * size) ** 2)
             turn = np.maximum(np.minimum(turn, 0.5), -0.5)
             half, grown = 0.5 * s[active], self.growth(j)
-            told = tolerance * grown <= 10 * ROUGH  # else the step would be that of errors
-            phi[active] += told * turn
-            s[active] += told * np.maximum(np.minimum(along, half), -half)
+            phi[active] += turn
+            s[active] += np.maximum(np.minimum(along, half), -half)
             # the error after a step is the square of the one before
             close = (away <= NEAR * self.follow.detail) & (np.abs(turn) * grown <= NEAR)
-            sharp = tolerance <= SHARP
-            off[active] = np.where(sharp, np.where(close, 0.0, away), math.inf)
-            field[active] = j
-            done = sharp & (off[active] <= 0.02 * MET * size * grown)
-            goes_on = np.isfinite(away) & ~done
-            active, tolerance = active[goes_on], self.next_tolerance(away, grown)[goes_on]
+            off[active], field[active] = np.where(close, 0.0, away), j
+            done = off[active] <= 0.02 * MET * size * grown
+            active = active[np.isfinite(away) & ~done]
             if not len(active):
                 break
         return phi, s, off <= MET * size * self.growth(field), field
-
-    def next_tolerance(self, away: Array, grown: Array) -> Array:
-        """Errors of the next step of geodesics: the less, the nearer they have come to b."""
-        left = away * grown / self.surface.size
-        last = (left <= 3e-5) | (away <= MET * self.surface.size * grown)  # rounding allows no more
-        fine, rough = (np.maximum(error / grown, SHARP) for error in (FINE, ROUGH))
-        return np.where(last, SHARP, np.where(left <= 0.02, fine, rough))
 
     def growth(self, field: Array) -> Array:
         """Growth of errors along geodesics with J = ``field`` at the end."""
@@ -200,16 +187,15 @@ class Search:
     # -- a fan of directions
 
     def fan(self, which: Array, reach: Array) -> list[Array]:
-        """All candidates to meet b within the reach: pair, direction, length, reach."""
+        """Candidates to meet b within the reach, unless it is close to a: pair, direction, length,
+        reach."""
         order = np.argsort(reach)  # fans of similar size together
         which, reach = which[order], reach[order]
         # off the axes of symmetry, where rays would meet poles of charts
         angles = 2 * math.pi * (np.arange(RAYS) + 0.137) / RAYS
         phi, width = np.tile(angles, len(which)), np.full(RAYS * len(which), 2 * math.pi / RAYS)
         found = self.sift(np.repeat(which, RAYS), np.repeat(reach, RAYS), phi, width)
-        # rays have no sample close to a: the chord finds b there
-        direct = which, *self.chords(which), reach
-        return [np.concatenate(w) for w in zip(direct, *found)]
+        return [np.concatenate(w) for w in zip(*found)]
 
     def sift(
         self, pair: Array, limit: Array, phi: Array, width: Array, depth: int = 0
