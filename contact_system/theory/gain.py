@@ -183,7 +183,7 @@ CHANGE = 100.0  # ratio of sigma at the ends of an expansion; its cube loses six
 
 @dataclass(frozen=True)
 class Contraction:
-    """Effect of a gain law on slip over a horizon (eq. `contracaccel`).
+    """Effect of a gain law on slip that nothing disturbs, over a horizon (eq. `contracaccel`).
 
     Attributes
     ----------
@@ -217,7 +217,7 @@ class Contraction:
         listed = ", ".join(f"[{a:.3g}, {b:.3g}] s" for a, b in self.intervals)
         shrinks = f"shrinks only on {listed} of the" if listed else "never shrinks in the"
         text = f"Gain law '{self.gain.law}', {self.gain.row.formula}, {self.gain.parameter} = "
-        text += f"{self.gain.value:.6g}: slip "
+        text += f"{self.gain.value:.6g}: undisturbed slip "
         text += "shrinks over the whole" if self.throughout else shrinks
         text += f" horizon of {self.duration:g} s."
         if self.growth[1] > 1:
@@ -226,7 +226,7 @@ class Contraction:
                 "value at t = 0."
             )
         if not math.isnan(self.left):
-            text += f" At the end slip is {self.left:.2g} times its value at t = 0."
+            text += f" At the end it is {self.left:.2g} times its value at t = 0."
         return text + self._remedy()
 
     def _remedy(self) -> str:
