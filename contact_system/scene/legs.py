@@ -73,7 +73,7 @@ class Leg:
         if self.length is not None and not math.isclose(own, self.length, rel_tol=_JUMP):
             raise SceneError(
                 f"length = {self.length!r}: the profile has the length {own!r} m in "
-                f"{self.duration:g} s; leave one of the two out"
+                f"{self.duration:g} s; leave one of the two out, as None"
             )
         put(self, "length", own)
 
