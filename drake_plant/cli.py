@@ -113,10 +113,11 @@ def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable
     if any(r.disturbed for r in reports):
         yield from _rejections(reports)
         yield from _explained(
+            "Of each contact, its last disturbance that is over. "
             "Recovery: time from the disturbance's end until slip stays below "
             f"{REJECTED:.0%} of its mean while disturbed, or below its greatest before, where that "
             "is more. Saturated: part of the disturbance with friction above "
-            f"{SATURATED:.0%} of mu N. Held: friction never came to its limit, so that there was "
+            f"{SATURATED:.0%} of mu N. Held: friction stayed below its limit in it, so there was "
             "no slip to reject. Not kept: another finger came off, or the object falls."
         )
     elif scene.disturbances:
