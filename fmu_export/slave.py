@@ -14,6 +14,7 @@ import contextlib
 import logging
 import shutil
 import tempfile
+import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -78,9 +79,9 @@ class _Slave:
         remedy = "a function of a status, a category and a text, or None"
         of_kind((Callable, type(None)), logger, "logger", remedy)
         self.scene, self._logger, self._said = scene, logger or _log, ""
-        self._folder = tempfile.TemporaryDirectory(prefix="contact-system-")
-        folder, identifier = Path(self._folder.name), model_identifier(scene)
-        table = variable_table(scene, **described)
+        folder = Path(tempfile.mkdtemp(prefix="contact-system-"))
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        identifier, table = model_identifier(scene), variable_table(scene, **described)
         text = model_description(table, self._version, ("CoSimulation",))
         token = instantiation_token(text)
         (folder / "modelDescription.xml").write_text(text, "utf-8")
@@ -96,7 +97,7 @@ class _Slave:
         plain = self._plain(
             guid=token,
             modelIdentifier=identifier,
-            unzipDirectory=self._folder.name,
+            unzipDirectory=str(folder),
             instanceName=name or identifier,
         )
         self.__dict__ |= plain.__dict__
