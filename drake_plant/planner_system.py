@@ -303,12 +303,8 @@ class ContactPlanner(_Convertible, LeafSystem):
         time[0] = t = context.get_time()
         x[:] = context.get_continuous_state_vector().value()
         after, before = own.same
-        if not after < t < before:
-            self._LoadRest(context, own, t, outputs)
-        return own
-
-    def _LoadRest(self, context: Any, own: Scratch, t: float, outputs: tuple[str, ...]) -> None:
-        """What the windows and the disturbance port add at t, and held numbers."""
+        if after < t < before:
+            return own
         own.w[:] = self._Acting(context, *outputs)
         if self._held is not None:
             own.held[:] = context.get_discrete_state(self._held).value()
@@ -316,6 +312,7 @@ class ContactPlanner(_Convertible, LeafSystem):
             edges = (-math.inf, *self.system.edges, math.inf)
             k = bisect.bisect_left(edges, t)
             own.same = (t, t) if t in edges else (edges[k - 1], edges[k])
+        return own
 
     def _Parts(self, context: Any, *outputs: str) -> list[Array]:
         return self._Load(context, outputs).evaluate(*outputs)
