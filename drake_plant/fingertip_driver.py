@@ -36,7 +36,7 @@ from .balance import needed_wrench
 from .lifetimes import NO_DICTIONARY, weakly
 from .planner_base import MOTION
 from .plant import MOTIONS, ScenePlant, declare_plant_inputs, gravity_on
-from .scratch import FingerTables, PerThread, halves, named, split
+from .scratch import FingerTables, PerThread, named, split
 from .tip_law import CONSTANT, SHARE, TIP, tip_constants, tip_wrench
 
 ROUNDING = 1e-9
@@ -57,7 +57,8 @@ def driving_law() -> Table:
     constant, c = named(CONSTANT)
     plan = split(x.motion, MOTION)
     x.R_OF, x.p_OF = ca.reshape(plan["pose"][:9], 3, 3), plan["pose"][9:]
-    (x.w_OF, x.v_OF), (x.alpha_OF, x.a_OF) = halves(plan["twist"]), halves(plan["acceleration"])
+    x.w_OF, x.v_OF = ca.vertsplit(plan["twist"], 3)
+    x.alpha_OF, x.a_OF = ca.vertsplit(plan["acceleration"], 3)
     x.normal, x.normal_rate = plan["normal"], plan["normal_rate"]
     x.point, x.slip = plan["contact_point"][:3], x.R_WO @ x.sliding
     wanted = _desired_motion(x, c.h)

@@ -90,11 +90,6 @@ def split(numbers: ca.SX, sizes: dict[str, int]) -> dict[str, ca.SX]:
     return dict(zip(sizes, ca.vertsplit(numbers, np.cumsum([0, *sizes.values()]).tolist())))
 
 
-def halves(motion: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Angular and linear part."""
-    return motion[:3], motion[3:]
-
-
 def named(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
     """Symbols by their names; of a pose X R and p, of a velocity V w and v, of A alpha and a."""
     every = ca.SX.sym("x", sum(sizes.values()))
@@ -105,7 +100,7 @@ def named(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
             found |= {f"R{name[1:]}": rows[:, :3], f"p{name[1:]}": rows[:, 3]}
         elif name[0] in "VA":
             names = ("w", "v") if name[0] == "V" else ("alpha", "a")
-            found |= {f"{own}{name[1:]}": half for own, half in zip(names, halves(value))}
+            found |= {f"{own}{name[1:]}": half for own, half in zip(names, ca.vertsplit(value, 3))}
     return every, SimpleNamespace(**found)
 
 
