@@ -15,12 +15,11 @@ except ImportError as error:
     ) from error
 
 if TYPE_CHECKING:
-    from .balance import balancing_forces
+    from .balance import ForceBalancer, balancing_forces
     from .config import Push, StationConfig
     from .contact_monitor import ContactMonitor
     from .fingertip_driver import FingertipDriver
     from .fmu_system import FmuSystem as FmuSystem
-    from .force_balancer import ForceBalancer
     from .hand import Hand
     from .hand_driver import HandDriver
     from .measures import HandReport, contact_table, hand_report, object_report, outcome, push_table
@@ -72,12 +71,11 @@ __all__ = [  # what a star imports: FmuSystem needs fmpy
 ]
 
 _LATER = {
-    "balance": ("balancing_forces",),
+    "balance": ("ForceBalancer", "balancing_forces"),
     "config": ("Push", "StationConfig"),
     "contact_monitor": ("ContactMonitor",),
     "fingertip_driver": ("FingertipDriver",),
     "fmu_system": ("FmuSystem",),
-    "force_balancer": ("ForceBalancer",),
     "hand": ("Hand",),
     "hand_driver": ("HandDriver",),
     "measures": (

@@ -13,18 +13,23 @@ so forces do not jump where contacts move without one. SI units.
 from __future__ import annotations
 
 import dataclasses
+from copy import copy
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.math import RigidTransform
+from pydrake.common.value import Value
 from pydrake.multibody.tree import SpatialInertia
 from pydrake.solvers import ClarabelSolver, LorentzConeConstraint, MathematicalProgram
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
-from contact_system.checks import Array, finite_number, shaped_array
+from contact_system.checks import Array, finite_number, of_kind, shaped_array
 
 from .config import StationConfig
+from .hand_kinematics import way_to
+from .lifetimes import NO_DICTIONARY, array_entry, weakly
+from .plant import MOTIONS, ScenePlant, declare_plant_inputs, gravity_on
 
 MARGIN = 0.8
 """Of a friction cone, so that facets and feedback leave what is measured below 90 %."""
@@ -33,6 +38,7 @@ UNIT = 1e-6  # how far from 1 a normal's length may be
 LEFT = 1e-3  # part of a wrench that counts as not balanced, where something has to be left
 NONE, ROUNDING = 1e-14, 1e-6  # between these, a part of a wrench that no forces exert is rounding
 DEAR = 1e6  # how much dearer than forces that is, squared and in sizes of about 1
+COLUMNS = {"contact_forces": slice(0, 3), "normal_force": slice(3, 4), "friction_used": slice(4, 5)}
 
 
 def balancing_forces(
@@ -176,12 +182,6 @@ def needed_wrench(
     return force, alpha @ about + np.cross(w, w @ about) + mass * np.cross(center, a)
 
 
-def way_to(goal: RigidTransform, X: RigidTransform) -> Array:
-    """From a pose to another: the rotation vector and the shift that lead there, (6,)."""
-    turn = (goal.rotation() @ X.rotation().inverse()).ToAngleAxis()
-    return np.append(turn.angle() * turn.axis(), goal.translation() - X.translation())
-
-
 def pressed_config(scene: Scene, config: StationConfig, until: float) -> StationConfig:
     """The configuration with the normal force that its balance of the scene needs in the mean until
     a time, s, where the object is held still at the world's origin.
@@ -248,3 +248,80 @@ def _solve(
         result.GetSolution(forces.ravel()).reshape(m, n, 3),
         result.GetSolution(left.ravel()).reshape(m, 6) if leaving else None,
     )
+
+
+class ForceBalancer(LeafSystem):
+    """Contact forces that keep an object in its place against gravity, inside the friction cones.
+
+    .. pydrake_system::
+
+        name: ForceBalancer
+        input_ports:
+        - contact_point
+        - normal
+        - body_poses
+        - body_spatial_velocities
+        output_ports:
+        - contact_forces
+        - normal_force
+        - friction_used
+
+    The first two inputs are a planner's, so that a planner that restarts from measured states moves
+    them with the contacts; the others are the plant's. `contact_forces` (3n) are forces on the
+    object in the world, N, by :func:`balancing_forces`: of what carries the object and leads it
+    back to its place, critically damped at the configuration's ``object_rate``. The place is the
+    Context's only parameter, a RigidTransform, by default the object's default pose. Where the
+    cones cannot hold that, as in a push, they are those that leave the least of it. `normal_force`
+    (n) and `friction_used` (n) are their normal parts, N, and the parts of the cones they use.
+
+    Parameters
+    ----------
+    scene_plant : ScenePlant
+        Its object is free; its configuration says friction, which part of it is used, and the rate.
+    least : float
+        Least normal force, N.
+    """
+
+    __slots__ = NO_DICTIONARY
+
+    def __init__(self, scene_plant: ScenePlant, least: float = 0.0):
+        super().__init__()
+        of_kind(ScenePlant, scene_plant, "scene_plant", "a ScenePlant")
+        plant, body, config = scene_plant.plant, scene_plant.object_body, scene_plant.config
+        n = len(scene_plant.finger_bodies)
+        self._least, self._index = least, int(body.index())
+        self._config: StationConfig = config
+        self._inertia = copy(body.default_spatial_inertia())  # the body's own would keep the plant
+        self._gravity = gravity_on(plant, body)
+        self.DeclareAbstractParameter(Value(plant.GetDefaultFloatingBaseBodyPose(body)))
+        self._points = self.DeclareVectorInputPort("contact_point", 6 * n)
+        self._normals = self.DeclareVectorInputPort("normal", 3 * n)
+        self._poses, self._velocities = declare_plant_inputs(self, plant, *MOTIONS)
+        needs = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
+        ticket, self._found = array_entry(self._CalcFound, (n, 5), needs)
+        for name, rows in COLUMNS.items():
+            size, calc = n * (rows.stop - rows.start), weakly(self._CalcVector, name)
+            self.DeclareVectorOutputPort(name, size, calc, {ticket})
+
+    def _CalcVector(self, name: str, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._found(context)[:, COLUMNS[name]].ravel())
+
+    def _CalcFound(self, context: Context) -> Array:
+        X_WO = self._poses.Eval(context)[self._index]
+        V_WO = self._velocities.Eval(context)[self._index].get_coeffs()
+        R_WO, w, config = X_WO.rotation().matrix(), V_WO[:3], self._config
+        rate, X_WP = config.object_rate, context.get_abstract_parameter(0).get_value()
+        # back to the object's place
+        alpha, a = np.split(rate * (rate * way_to(X_WP, X_WO) - 2 * V_WO), 2)
+        force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], w, alpha, a)
+        points = self._points.Eval(context).reshape(1, -1, 6)[..., 3:]
+        normals = -self._normals.Eval(context).reshape(1, -1, 3)
+        forces = balancing_forces(
+            *(points, normals, config.friction, force, torque),
+            margin=config.friction_share,
+            least=self._least,
+            strict=False,
+        )
+        pressing = np.sum(forces * normals, axis=-1)
+        used = friction_used(forces, normals, config.friction)
+        return np.hstack([forces[0] @ R_WO.T, pressing.T, used.T])

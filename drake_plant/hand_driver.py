@@ -24,8 +24,7 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
-from .balance import way_to
-from .hand_kinematics import Chains, cross, moving_joints
+from .hand_kinematics import Chains, cross, moving_joints, way_to
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs
 from .reorientation import Reorientation

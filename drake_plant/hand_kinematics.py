@@ -37,7 +37,6 @@ from contact_system import Scene, SceneError, Sphere
 from contact_system.checks import Array, did_you_mean
 from contact_system.contact_sensor import NORMAL, ON_FINGER, ON_OBJECT, ContactSensor
 
-from .balance import way_to
 from .hand import Hand, own_hand
 
 POSTURE, ON_PAD = 0.3, 1.0  # how strongly free joints go to the middles of ranges and pads
@@ -365,6 +364,12 @@ class Chains:
                     "or lie in a plane move theirs in two directions"
                 )
         return found
+
+
+def way_to(goal: RigidTransform, X: RigidTransform) -> Array:
+    """From a pose to another: the rotation vector and the shift that lead there, (6,)."""
+    turn = (goal.rotation() @ X.rotation().inverse()).ToAngleAxis()
+    return np.append(turn.angle() * turn.axis(), goal.translation() - X.translation())
 
 
 def cross(a: Array, b: Array) -> Array:

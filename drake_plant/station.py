@@ -26,11 +26,10 @@ from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
 from contact_system.checks import Array, finite_number, of_kind
 
-from .balance import pressed_config
+from .balance import COLUMNS, ForceBalancer, pressed_config
 from .config import Push, StationConfig, body_names, check_pushes, checked
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import FingertipDriver
-from .force_balancer import COLUMNS, ForceBalancer
 from .hand_driver import HandDriver
 from .hand_kinematics import moving_joints
 from .plan_check import TOLERANCE
