@@ -12,12 +12,11 @@ from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor
 from contact_system.engine.binding import SURFACES, TableData
 from contact_system.surfaces import Ellipsoid, Surface, Torus
 from contact_system.theory.gain import LAWS
-from contact_system.theory.lowering import Table as Instructions
 
 from .model import TOLERANCE, equations, frame_sizes, measured, way_of
 from .variables import Table
 
-VERSION, HEADER = 20261129.0, 37
+VERSION, HEADER = 20261130.0, 38
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
 
 
@@ -29,7 +28,7 @@ class _Data:
         self.parts: list[bytes] = []
         self.size = HEADER
         self.surfaces: dict[Surface, int] = {}
-        self.systems: dict[Instructions, int] = {}
+        self.tables: dict[Any, int] = {}
 
     def put(self, data: bytes) -> int:
         """Add bytes, filled up to whole doubles; returns their place."""
@@ -46,7 +45,11 @@ class _Data:
         """Add texts; returns their place."""
         return self.put(b"".join(text.encode() + b"\0" for text in values))
 
-    def table(self, t: Any) -> list[float]:
+    def table(self, t: Any) -> int:
+        """The number of a table of instructions; -1 of none."""
+        return -1 if t is None else self.tables.setdefault(t, len(self.tables))
+
+    def instructions(self, t: Any) -> list[float]:
         """Add a table's instructions; returns its row."""
         code = (self.put(words.astype("<u2").tobytes()) for words in (t.prologue, t.body))
         return [*t.sizes, *code, self.numbers(t.literals)]
@@ -76,7 +79,7 @@ def scene_data(table: Table, token: str) -> bytes:
         for k, d in enumerate(scene.disturbances)
     ]
     orders += [at + k for *_, at in windows for k in (1, 0)]  # stop, start
-    tables = [*data.systems, *(t for s in data.surfaces for t in s.tables.ambient if t is not None)]
+    tables = [*data.tables, *(t for s in data.surfaces for t in s.tables.ambient if t is not None)]
     registers = max(TableData.from_address(t.address).n_regs for t in tables)
     bodies = [x for surface in data.surfaces for x in _surface(surface, data)]
     head = struct.pack(
@@ -88,7 +91,8 @@ def scene_data(table: Table, token: str) -> bytes:
         *(data.numbers(sizes), data.numbers(table.start_values), data.numbers(least)),
         *(data.numbers(nominals), data.numbers(contacts)),
         *(data.numbers(bodies), len(data.surfaces)),
-        *(data.numbers([x for system in data.systems for x in data.table(system)]), registers),
+        *(data.numbers([x for t in data.tables for x in data.instructions(t)]), len(data.tables)),
+        registers,
         *(data.numbers(np.ravel(windows)), len(windows)),
         *(data.numbers(sorted(corners)), len(corners), data.numbers(limits)),
         *(data.numbers(orders), len(orders) // 2, *obj),
@@ -103,7 +107,6 @@ def _contact(table: Table, i: int, data: _Data) -> list[float]:
     pair = contact.finger, scene.object
     own, _ = equations(*table.structure(i))
     sensor = own if table.measured == "nothing" else measured(*pair, table.measured)
-    system, sense = (data.systems.setdefault(t, len(data.systems)) for t in (own, sensor))
     unknowns = [3 if s.has_implicit else 2 for s in pair] if table.measured == "pose" else [0, 0]
     legs: list[float] = []
     way = way_of(scene, contact)
@@ -114,7 +117,8 @@ def _contact(table: Table, i: int, data: _Data) -> list[float]:
     return [
         *_body(contact.finger, table.first[f"finger {i}"], data),
         *table.groups[i],
-        *(data.numbers(table.columns(i)), system, *frame_sizes(*pair), sense, *unknowns),
+        *(data.numbers(table.columns(i)), data.table(own), *frame_sizes(*pair)),
+        *(data.table(sensor), *unknowns),
         *(data.numbers(legs), len(way)),
         *(*contact.finger_at, -contact.angle, *contact.object_at, 0.0),  # as in SceneSystem.place
     ]
@@ -141,10 +145,8 @@ def _surface(surface: Surface, data: _Data) -> list[float]:
     if surface.table_name is not None:
         return [list(SURFACES).index(surface.table_name), *[0.0] * 19]
     own = surface.engine_data
-    found = [-1, own.n_numbers, own.double_cover, own.flags, own.period_u, own.period_v]
-    for table in (*surface.tables.ambient, *surface.tables.chart):
-        found.append(0 if table is None else data.numbers(data.table(table)))
-    return found
+    tables = map(data.table, (*surface.tables.ambient, *surface.tables.chart))
+    return [-1, own.n_numbers, own.double_cover, own.flags, own.period_u, own.period_v, *tables]
 
 
 def as_c(data: bytes) -> str:

@@ -25,7 +25,7 @@ static inline const double *body_of_contact(const model_t *m, long i, int side) 
 }
 
 static inline const table_t *system_of(const model_t *m, long i) {
-  return m->systems + (long)contact_of(m, i)[P_SYSTEM];
+  return m->tables + (long)contact_of(m, i)[P_SYSTEM];
 }
 
 static inline const surface_t *surface_of(const model_t *m, long i, int side) {
@@ -48,18 +48,21 @@ static inline int kind_of(const model_t *m, unsigned reference) {
   return (int)section(m, D_KINDS)[reference];
 }
 
-static void read_table(const model_t *m, const double *row, table_t *out) {
-  int32_t *const numbers[] = {&out->n_in,      &out->n_const,   &out->n_out, &out->n_lit,
-                              &out->first_lit, &out->first_out, &out->n_regs};
-  for (int k = T_NUMBERS; k < T_PROLOGUE; k++) *numbers[k] = (int32_t)row[k];
-  out->twin = -1;
-  out->prologue = (const code_t *)(m->data + (long)row[T_PROLOGUE]);
-  out->body = (const code_t *)(m->data + (long)row[T_BODY]);
-  out->literals = m->data + (long)row[T_LITERALS];
+static void read_tables(model_t *m) {
+  for (long k = 0; k < (long)m->data[D_N_TABLES]; k++) {
+    const double *row = section(m, D_TABLES) + k * T_SIZE;
+    table_t *t = m->tables + k;
+    int32_t *const numbers[] = {&t->n_in,      &t->n_const,   &t->n_out, &t->n_lit,
+                                &t->first_lit, &t->first_out, &t->n_regs};
+    for (int n = T_NUMBERS; n < T_PROLOGUE; n++) *numbers[n] = (int32_t)row[n];
+    t->twin = -1;
+    t->prologue = (const code_t *)(m->data + (long)row[T_PROLOGUE]);
+    t->body = (const code_t *)(m->data + (long)row[T_BODY]);
+    t->literals = m->data + (long)row[T_LITERALS];
+  }
 }
 
 static void read_surfaces(model_t *m) {
-  table_t *next = m->tables;
   for (long s = 0; s < (long)m->data[D_N_SURFACES]; s++) {
     const double *row = section(m, D_SURFACES) + s * F_SIZE;
     surface_t *own = m->own + s;
@@ -74,20 +77,10 @@ static void read_surfaces(model_t *m) {
                        .period_u = row[F_PERIOD_U],
                        .period_v = row[F_PERIOD_V]};
     for (int k = 0; k < N_AMBIENT + N_CHART; k++) {
-      if (row[F_AMBIENT + k] == 0.0) continue;
-      read_table(m, m->data + (long)row[F_AMBIENT + k], next);
-      if (k < N_AMBIENT)
-        own->ambient[k] = next++;
-      else
-        own->chart[k - N_AMBIENT] = next++;
+      const table_t **to = k < N_AMBIENT ? own->ambient + k : own->chart + k - N_AMBIENT;
+      *to = row[F_AMBIENT + k] < 0 ? NULL : m->tables + (long)row[F_AMBIENT + k];
     }
     m->surfaces[s] = own;
-  }
-  m->systems = next;
-  for (long i = 0; i < m->n_contacts; i++) {
-    const double *row = contact_of(m, i), used[2] = {row[P_SYSTEM], row[P_SENSOR]};
-    for (int q = 0; q < 2; q++)
-      read_table(m, section(m, D_SYSTEMS) + (long)used[q] * T_SIZE, next + (long)used[q]);
   }
 }
 
@@ -123,12 +116,13 @@ static model_t *read_model(const char *resources, const char **wrong) {
     goto refused;
   m->n_contacts = (long)d[D_CONTACTS], m->n_values = (long)d[D_VALUES];
   m->n_windows = (long)d[D_N_WINDOWS];
-  const size_t surfaces = (size_t)d[D_N_SURFACES], each = N_AMBIENT + N_CHART;
+  const size_t surfaces = (size_t)d[D_N_SURFACES];
   m->surfaces = calloc(surfaces, sizeof *m->surfaces), m->own = calloc(surfaces, sizeof *m->own);
-  m->tables = calloc(surfaces * each + 2 * (size_t)m->n_contacts, sizeof *m->tables);
+  m->tables = calloc((size_t)d[D_N_TABLES], sizeof *m->tables);
   m->layout = calloc((size_t)m->n_contacts, sizeof *m->layout);
   *wrong = "no memory";
   if (!m->surfaces || !m->own || !m->tables || !m->layout) goto refused;
+  read_tables(m);
   read_surfaces(m);
   lay_out(m);
   *wrong = NULL;

@@ -18,7 +18,7 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_VERSION 20261129.0
+#define DATA_VERSION 20261130.0
 enum {
   D_VERSION,  /* the day of its last change, by which data is known at all */
   D_SIZE,     /* doubles in all */
@@ -41,7 +41,8 @@ enum {
   D_AT_CONTACTS,
   D_SURFACES, /* the object's first; and how many */
   D_N_SURFACES,
-  D_SYSTEMS,   /* tables of the equations of a contact, one after the other */
+  D_TABLES, /* and how many */
+  D_N_TABLES,
   D_REGISTERS, /* that these and tables of surfaces have at most */
   D_WINDOWS,   /* and how many */
   D_N_WINDOWS,
@@ -78,8 +79,8 @@ enum {
   P_GROUPS = P_FINGER + Q_SIZE,
   P_COLUMNS = P_FINGER + Q_SIZE + GROUPS + 1, /* references of its point and constants; -1: of the
                                                  leg's profile */
-  P_SYSTEM,
-  P_FRAMES,                /* sizes of finger's and object's */
+  P_SYSTEM,                                   /* the table of its equations */
+  P_FRAMES,                                   /* sizes of finger's and object's */
   P_SENSOR = P_FRAMES + 2, /* where it is measured: the table of a step towards the contact, */
   P_UNKNOWNS,              /* and how many each body has in a pose: 3, a point, 2, coordinates */
   P_LEGS = P_UNKNOWNS + 2,
@@ -92,7 +93,7 @@ enum {
 enum { N_SMALL, N_MOST_STEPS, N_SETTLED, N_CONFORMAL, SENSOR_SIZE };
 /* a window: its contact, its slot, reference of start, stop and two values */
 enum { V_CONTACT, V_SLOT, V_VALUES, V_SIZE };
-/* a surface: which of the engine's, or -1 and what it is, places of its tables or 0 */
+/* a surface: which of the engine's, or -1 and what it is; its tables, -1: none */
 enum {
   F_BUILTIN,
   F_N_NUMBERS,
@@ -122,8 +123,7 @@ typedef struct {
   double *data;
   const surface_t **surfaces;
   surface_t *own;
-  table_t *tables; /* of the user's surfaces; then of systems */
-  const table_t *systems;
+  table_t *tables; /* of contacts, and of the user's surfaces */
   layout_t *layout;
   long n_contacts, n_values, n_states, n_windows;
 } model_t;
