@@ -10,13 +10,13 @@ import numpy as np
 
 from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor
 from contact_system.engine.binding import SURFACES, TableData
+from contact_system.planning.motion import Buffer
 from contact_system.surfaces import Ellipsoid, Surface, Torus
-from contact_system.theory.gain import LAWS
 
-from .model import TOLERANCE, equations, frame_sizes, measured, way_of
+from .model import TOLERANCE, equations, frame_sizes, measured
 from .variables import Table
 
-VERSION, HEADER = 20261130.0, 38
+VERSION, HEADER = 20261201.0, 27
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
 
 
@@ -58,14 +58,12 @@ class _Data:
 def scene_data(table: Table, token: str) -> bytes:
     """The bytes of scene.bin; token: instantiation token (FMI 3) or GUID (FMI 2)."""
     scene, rows, data = table.scene, table.rows, _Data()
-    law = LAWS[scene.gain.law]
-    obj = _body(scene.object, table.first["object"], data)
     contacts = [x for i in range(len(scene.contacts)) for x in _contact(table, i, data)]
     orders = _orders(scene.object, table.first["object"])
     corners: set[float] = set()
     for i, contact in enumerate(scene.contacts):
         orders += _orders(contact.finger, table.first[f"finger {i}"])
-        corners |= {stretch.start for stretch in way_of(scene, contact)[1:]}
+        corners |= {stretch.start for stretch in scene.way(i)[1:]}
     sensed = ContactSensor(scene) if table.measured == "pose" else None
     limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else 4 * (0.0,)
     bounds = [*(group[0] for group in table.groups), len(rows)]
@@ -84,8 +82,7 @@ def scene_data(table: Table, token: str) -> bytes:
     bodies = [x for surface in data.surfaces for x in _surface(surface, data)]
     head = struct.pack(
         f"<{HEADER - 3}d",
-        *(len(table.groups), len(rows), law.power, law.makes_up),
-        *(scene.duration, TOLERANCE, table.first["scale"]),
+        *(len(table.groups), len(rows), table.first["scale"]),
         *(data.texts(token), data.texts(*(v.name for v in rows)), data.numbers(owners)),
         data.numbers([KINDS.index(v.kind) for v in rows]),
         *(data.numbers(sizes), data.numbers(table.start_values), data.numbers(least)),
@@ -95,7 +92,7 @@ def scene_data(table: Table, token: str) -> bytes:
         registers,
         *(data.numbers(np.ravel(windows)), len(windows)),
         *(data.numbers(sorted(corners)), len(corners), data.numbers(limits)),
-        *(data.numbers(orders), len(orders) // 2, *obj),
+        *(data.numbers(orders), len(orders) // 2),
     )
     body = b"".join(data.parts)
     return struct.pack("<3d", VERSION, data.size, zlib.adler32(body)) + head + body
@@ -108,27 +105,14 @@ def _contact(table: Table, i: int, data: _Data) -> list[float]:
     own, _ = equations(*table.structure(i))
     sensor = own if table.measured == "nothing" else measured(*pair, table.measured)
     unknowns = [3 if s.has_implicit else 2 for s in pair] if table.measured == "pose" else [0, 0]
-    legs: list[float] = []
-    way = way_of(scene, contact)
-    for stretch in way:
-        profile = stretch.profile.coefficients
-        legs += [stretch.start, data.numbers(profile) if contact.legs else 0, len(profile)]
-        legs += stretch.turn
+    engine = Buffer(scene.replace(contacts=[contact], disturbances=()), TOLERANCE, 0.0, None)
     return [
-        *_body(contact.finger, table.first[f"finger {i}"], data),
-        *table.groups[i],
+        *(data.put(engine.numbers), len(engine.numbers) // 8, bool(contact.legs)),
+        *(data.surfaces.setdefault(surface, len(data.surfaces)) for surface in pair),
+        *(table.first[f"finger {i}"], table.first["object"], *table.groups[i]),
         *(data.numbers(table.columns(i)), data.table(own), *frame_sizes(*pair)),
         *(data.table(sensor), *unknowns),
-        *(data.numbers(legs), len(way)),
-        *(*contact.finger_at, -contact.angle, *contact.object_at, 0.0),  # as in SceneSystem.place
     ]
-
-
-def _body(surface: Surface, at: int, data: _Data) -> list[float]:
-    """The row of a body, whose first parameter has reference `at`."""
-    which = data.surfaces.setdefault(surface, len(data.surfaces))
-    sizes = (surface.size, surface.bend, surface.reach)
-    return [at, len(surface.parameters), which, surface.sign, *sizes]
 
 
 def _orders(surface: Surface, at: int) -> list[int]:

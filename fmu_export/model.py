@@ -21,14 +21,13 @@ import numpy as np
 
 from contact_system.contact_equations import Form, contact_function
 from contact_system.contact_sensor import measured_contact
-from contact_system.scene import Contact, Scene, Stretch
 from contact_system.surfaces import TINY, Surface
 from contact_system.theory import symbols as ca
 from contact_system.theory.development import in_space, moving
 from contact_system.theory.gain import LAWS
 from contact_system.theory.geometry import number_symbols
 from contact_system.theory.lowering import Table
-from contact_system.theory.profile import Profile, polynomial
+from contact_system.theory.profile import polynomial
 from contact_system.theory.symbols import making_symbols, per_structure
 
 INPUTS = 6
@@ -119,14 +118,3 @@ def measured(finger: Surface, obj: Surface, what: str) -> Table:
         # no share, no known slip
         result = ca.substitute(ca.vertcat(*results[:4], results[-1]), others, 0)
     return Table(ca.Function("measured", [point, given], [ca.densify(ca.cse(result))]))
-
-
-def way_of(scene: Scene, contact: Contact) -> list[Stretch]:
-    """A contact's legs, the rest behind them included, with profiles of one length."""
-    way = contact.way(scene.profile, scene.duration)
-    size = max(len(stretch.profile.coefficients) for stretch in way)
-    return [
-        stretch._replace(profile=Profile([*c, *[0.0] * (size - len(c))]))
-        for stretch in way
-        for c in [stretch.profile.coefficients]
-    ]

@@ -26,7 +26,7 @@ from contact_system.surfaces.base import OfLengths
 from contact_system.system import SceneSystem, number_names
 
 from .contact_variables import DERIVATIVES, INPUT_GROUPS, STATE_GROUP, contact_groups
-from .model import equations, way_of
+from .model import equations
 from .quantities import METRE, NONE, SECOND, Unit, Variable, array_of, chart_units, per_second
 
 
@@ -83,8 +83,7 @@ class Table:
     def structure(self, i: int) -> tuple[Surface, Surface, str, int]:
         """What `model.equations` of a contact are made for."""
         scene, contact = self.scene, self.scene.contacts[i]
-        n_profile = len(way_of(scene, contact)[0].profile.coefficients)
-        return contact.finger, scene.object, scene.gain.law, n_profile
+        return contact.finger, scene.object, scene.gain.law, _most_coefficients(scene, i)
 
     def columns(self, i: int) -> list[int]:
         """References of the point and constants of those equations; -1 for profiles of legs."""
@@ -168,8 +167,7 @@ def _refuse(scene: Scene, surfaces: Iterable[Surface], measured: str) -> None:
                 f"{scene.title}: {surface!r} has no explicit chart f(u, v), in which states could "
                 "be measured; leave measured out, or give a ParametricSurface"
             )
-    ways = [way_of(scene, contact) for contact in scene.contacts]
-    most = max(len(p.coefficients) for p in (scene.profile, *(way[0].profile for way in ways)))
+    most = max(_most_coefficients(scene, i) for i in range(len(scene.contacts)))
     if most > MOST_COEFFICIENTS:
         raise SceneError(
             f"{scene.title}: a profile has {most} coefficients, and an FMU holds "
@@ -178,6 +176,11 @@ def _refuse(scene: Scene, surfaces: Iterable[Surface], measured: str) -> None:
 
 
 MOST_COEFFICIENTS = 48
+
+
+def _most_coefficients(scene: Scene, i: int) -> int:
+    """Of the profiles of contact i's legs, or the scene's."""
+    return max(len(stretch.profile.coefficients) for stretch in scene.way(i))
 
 
 # --- parameters ----------------------------------------------------------------------------------

@@ -20,16 +20,34 @@ static inline const double *contact_of(const model_t *m, long i) {
   return section(m, D_AT_CONTACTS) + i * P_SIZE;
 }
 
-static inline const double *body_of_contact(const model_t *m, long i, int side) {
-  return side ? m->data + D_OBJECT : contact_of(m, i) + P_FINGER;
+/* The engine's buffer of a contact as it was exported, and a body's row there */
+static inline const double *scene_of(const model_t *m, long i) {
+  return m->data + (long)contact_of(m, i)[P_SCENE];
 }
+
+static inline const double *body_of(const model_t *m, long i, int side) {
+  return scene_of(m, i) + (side ? S_OBJECT : S_HEADER + K_FINGER);
+}
+
+static inline double horizon_of(const model_t *m) { return scene_of(m, 0)[S_END]; }
+
+static inline int makes_up(const model_t *m) { return scene_of(m, 0)[S_MAKES_UP] > 0; }
 
 static inline const table_t *system_of(const model_t *m, long i) {
   return m->tables + (long)contact_of(m, i)[P_SYSTEM];
 }
 
 static inline const surface_t *surface_of(const model_t *m, long i, int side) {
-  return m->surfaces[(long)body_of_contact(m, i, side)[Q_SURFACE]];
+  return m->surfaces[(long)contact_of(m, i)[P_SURFACES + side]];
+}
+
+/* A body's parameters: the reference of the first, and how many */
+static inline long parameters_of(const model_t *m, long i, int side) {
+  return (long)contact_of(m, i)[P_PARAMETERS + side];
+}
+
+static inline size_t n_parameters(const model_t *m, long i, int side) {
+  return (size_t)surface_of(m, i, side)->n_numbers - 1; /* besides its sign */
 }
 
 static inline long owner_of(const model_t *m, unsigned reference) {

@@ -18,28 +18,24 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_VERSION 20261130.0
+#define DATA_VERSION 20261201.0
 enum {
   D_VERSION,  /* the day of its last change, by which data is known at all */
   D_SIZE,     /* doubles in all */
   D_CHECKSUM, /* of what follows the header, 32 bits */
   D_CONTACTS,
   D_VALUES, /* how many; the first are time, gain, and the coefficients of the scene's profile */
-  D_POWER,  /* gain law, as in engine.h */
-  D_MAKES_UP,
-  D_HORIZON,   /* s */
-  D_TOLERANCE, /* of plans */
-  D_SCALE,     /* reference of the factor of the scene's windows */
-  D_TOKEN,     /* text */
-  D_NAMES,     /* texts, one after the other, of all values */
-  D_OWNERS,    /* contacts of all values; -1: of all contacts */
-  D_KINDS,     /* of all values */
-  D_SIZES,     /* how many values a reference of FMI 3 has */
+  D_SCALE,  /* reference of the factor of the scene's windows */
+  D_TOKEN,  /* text */
+  D_NAMES,  /* texts, one after the other, of all values */
+  D_OWNERS, /* contacts of all values; -1: of all contacts */
+  D_KINDS,  /* of all values */
+  D_SIZES,  /* how many values a reference of FMI 3 has */
   D_STARTS,
   D_LEAST,
   D_NOMINALS, /* of the states */
   D_AT_CONTACTS,
-  D_SURFACES, /* the object's first; and how many */
+  D_SURFACES, /* and how many */
   D_N_SURFACES,
   D_TABLES, /* and how many */
   D_N_TABLES,
@@ -51,11 +47,8 @@ enum {
   D_SENSOR, /* SENSOR_SIZE numbers */
   D_ORDERS, /* pairs of references: the first value stays greater than the second */
   D_N_ORDERS,
-  D_OBJECT, /* BODY numbers */
-  D_HEADER = D_OBJECT + 7
+  D_HEADER
 };
-/* a body: reference of its first parameter, how many, its surface, +1 or -1 inside, its scales */
-enum { Q_VALUES, Q_N_VALUES, Q_SURFACE, Q_SIGN, Q_LENGTH, Q_BEND, Q_REACH, Q_SIZE };
 /* groups of a contact's values; results are those from the states on */
 enum {
   OF_INPUTS,
@@ -71,22 +64,23 @@ enum {
   GROUPS
 };
 
-/* a contact: references of its groups; the frames among the states are 6 numbers, a point and an
-   axis, or 3, coordinates and an angle; its legs are the engine's, with profiles of one size, at
-   least one; place 0 stands for the scene's profile */
+/* a contact; the frames among its states are 6 numbers, a point and an axis, or 3, coordinates and
+   an angle */
 enum {
-  P_FINGER,
-  P_GROUPS = P_FINGER + Q_SIZE,
-  P_COLUMNS = P_FINGER + Q_SIZE + GROUPS + 1, /* references of its point and constants; -1: of the
-                                                 leg's profile */
-  P_SYSTEM,                                   /* the table of its equations */
-  P_FRAMES,                                   /* sizes of finger's and object's */
+  P_SCENE, /* the engine's buffer of this contact alone, at its start and without windows; its size
+            */
+  P_SCENE_SIZE,
+  P_OWN_LEGS,                    /* 0: the profile there is the scene's, which is a parameter */
+  P_SURFACES,                    /* finger's and object's, which that buffer does not know, */
+  P_PARAMETERS = P_SURFACES + 2, /* and references of their first parameters */
+  P_GROUPS = P_PARAMETERS + 2,
+  P_COLUMNS = P_GROUPS + GROUPS + 1, /* references of its point and constants; -1: of a leg's
+                                        profile */
+  P_SYSTEM,                          /* the table of its equations */
+  P_FRAMES,                          /* sizes of finger's and object's */
   P_SENSOR = P_FRAMES + 2, /* where it is measured: the table of a step towards the contact, */
   P_UNKNOWNS,              /* and how many each body has in a pose: 3, a point, 2, coordinates */
-  P_LEGS = P_UNKNOWNS + 2,
-  P_N_LEGS,
-  P_PLACES, /* u v theta of finger and object at the start, in the turn that the scene gives */
-  P_SIZE = P_PLACES + 6
+  P_SIZE = P_UNKNOWNS + 2
 };
 /* what contact_sensor.py finds a contact by: steps so short end it, or so many; steps so short are
    rounding; bodies with so little relative curvature conform */

@@ -3,21 +3,22 @@
 #define MOST_PANELS 20000.0 /* of one plan: a second of work, kilometres of path */
 
 /* The body's row of the engine's buffer; its numbers go to *next. Scales follow its lengths. */
-static void put_body(component_t *c, const double *q, double **next, double *row) {
-  const long n = (long)q[Q_N_VALUES], at = (long)q[Q_VALUES];
-  const double *starts = section(c->model, D_STARTS), *given = c->value + at;
-  const surface_t *s = c->model->surfaces[(long)q[Q_SURFACE]];
+static void put_body(component_t *c, long i, int side, double **next, double *row) {
+  const model_t *m = c->model;
+  const int has_lengths = surface_of(m, i, side)->name[0] != 0; /* else it is a user's */
+  const double *given = c->value + parameters_of(m, i, side);
   double larger = 1.0, smaller = 1.0;
-  row[B_SURFACE] = q[Q_SURFACE], row[B_NUMBERS] = (double)(*next - c->buffer);
-  *(*next)++ = q[Q_SIGN];
-  for (long j = 0; j < n; j++) {
-    const double ratio =
-        s->name[0] && starts[at + j] != 0.0 ? fabs(given[j] / starts[at + j]) : 1.0;
+  memcpy(row, body_of(m, i, side), BODY_SIZE * sizeof *row);
+  const double *own = scene_of(m, i) + (long)row[B_NUMBERS];
+  row[B_SURFACE] = contact_of(m, i)[P_SURFACES + side];
+  row[B_NUMBERS] = (double)(*next - c->buffer);
+  *(*next)++ = *own++; /* the sign */
+  for (size_t j = 0; j < n_parameters(m, i, side); j++) {
+    const double ratio = has_lengths && own[j] != 0.0 ? fabs(given[j] / own[j]) : 1.0;
     larger = j ? fmax(larger, ratio) : ratio, smaller = j ? fmin(smaller, ratio) : ratio;
     *(*next)++ = given[j];
   }
-  row[B_LENGTH] = q[Q_LENGTH] * larger, row[B_BEND] = q[Q_BEND] * smaller;
-  row[B_REACH] = q[Q_REACH];
+  row[B_LENGTH] *= larger, row[B_BEND] *= smaller;
 }
 
 static void put_window(double **next, double slot, double start, double stop, const double *value,
@@ -31,27 +32,19 @@ static void put_window(double **next, double slot, double start, double stop, co
 /* The engine's plan of contact i under a segment; NULL, with c->failure, where there is none. */
 static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   const model_t *m = c->model;
-  double *b = c->buffer, *row = b + S_HEADER, *next = row + CONTACT_SIZE;
+  const size_t size = (size_t)contact_of(m, i)[P_SCENE_SIZE];
+  const leg_t leg = leg_of(c, i, 0); /* of others nothing can be set */
+  double *b = c->buffer, *row = b + S_HEADER, *next = b + size;
   plan_t *found;
   c->failure = (failure_t){.code = STUCK};
   if (!(s->end > s->begin)) return NULL;
-  memset(b, 0, (S_HEADER + CONTACT_SIZE) * sizeof *b);
-  b[S_CONTACTS] = 1, b[S_TOLERANCE] = m->data[D_TOLERANCE];
+  memcpy(b, scene_of(m, i), size * sizeof *b);
   b[S_PANELS] = MOST_PANELS;
-  b[S_BEGIN] = s->begin, b[S_END] = s->end;
-  b[S_GAIN] = s->gain, b[S_GAIN_POWER] = m->data[D_POWER], b[S_MAKES_UP] = m->data[D_MAKES_UP];
-  row[K_LEGS] = (double)(next - b), row[K_LEGS_SIZE] = (double)n_legs(m, i);
-  next += n_legs(m, i) * LEG_SIZE;
-  for (long k = 0; k < n_legs(m, i); k++) {
-    const leg_t leg = leg_of(c, i, k);
-    double *to = b + (long)row[K_LEGS] + k * LEG_SIZE;
-    to[G_START] = leg.start, to[G_TURN] = leg.turn[0], to[G_TURN + 1] = leg.turn[1];
-    to[G_PROFILE] = (double)(next - b), to[G_PROFILE_SIZE] = (double)leg.n;
-    memcpy(next, leg.sigma, (size_t)leg.n * sizeof *next), next += leg.n;
-  }
-  put_body(c, m->data + D_OBJECT, &next, b + S_OBJECT);
-  put_body(c, contact_of(m, i) + P_FINGER, &next, row + K_FINGER);
-  row[K_MOMENT] = s->row[K_MOMENT], row[K_WINDOWS] = (double)(next - b);
+  b[S_BEGIN] = s->begin, b[S_END] = s->end, b[S_GAIN] = s->gain;
+  memcpy(b + (long)b[(long)row[K_LEGS] + G_PROFILE], leg.sigma, (size_t)leg.n * sizeof *b);
+  put_body(c, i, 1, &next, b + S_OBJECT);
+  put_body(c, i, 0, &next, row + K_FINGER);
+  row[K_MOMENT] = s->row[K_MOMENT], row[K_FOLLOWS] = 0, row[K_WINDOWS] = (double)(next - b);
   memcpy(row + K_PLACE_1, s->row + K_PLACE_1, MOMENT_SIZE * sizeof *row);
   double *const first = next;
   for (long k = 0; k < m->n_windows; k++) {

@@ -15,15 +15,17 @@ typedef struct {
   long n;
 } leg_t;
 
-static long n_legs(const model_t *m, long i) { return (long)contact_of(m, i)[P_N_LEGS]; }
+static long n_legs(const model_t *m, long i) {
+  return (long)scene_of(m, i)[S_HEADER + K_LEGS_SIZE];
+}
 
 /* Where it has no legs, a contact is on one that has the scene's profile. */
 static leg_t leg_of(const component_t *c, long i, long k) {
-  const double *data = c->model->data;
-  const double *row = data + (long)contact_of(c->model, i)[P_LEGS] + k * LEG_SIZE;
-  const long at = (long)row[G_PROFILE];
-  return (leg_t){row[G_START], at ? data + at : c->value + PROFILE, row + G_TURN,
-                 (long)row[G_PROFILE_SIZE]};
+  const double *scene = scene_of(c->model, i);
+  const double *row = scene + (long)scene[S_HEADER + K_LEGS] + k * LEG_SIZE;
+  const int own = contact_of(c->model, i)[P_OWN_LEGS] > 0;
+  return (leg_t){row[G_START], own ? scene + (long)row[G_PROFILE] : c->value + PROFILE,
+                 row + G_TURN, (long)row[G_PROFILE_SIZE]};
 }
 
 /* Which leg contact i is on at the time that values are of */
@@ -59,7 +61,7 @@ static double beyond_zeros(const component_t *c, const leg_t *leg, double from) 
   double most = 0.0;
   while (n > 1 && p[n - 1] == 0.0) n--;
   for (long k = 1; k < n; k++) most = fmax(most, pow(fabs(p[n - 1 - k] / p[n - 1]), 1.0 / k));
-  return fmax(from + 1e3 * c->model->data[D_HORIZON], leg->start + fmin(2.0 * most, 1e9));
+  return fmax(from + 1e3 * horizon_of(c->model), leg->start + fmin(2.0 * most, 1e9));
 }
 
 /* Only the last leg's sigma may turn negative. */
@@ -85,7 +87,7 @@ static int rests(const component_t *c, long i) {
 
 /* Whether the path leaves a rest under a law that makes up for growth, which no slip does. */
 static int leaves_slip_behind(const component_t *c, long i) {
-  return c->model->data[D_MAKES_UP] > 0 && rests(c, i);
+  return makes_up(c->model) && rests(c, i);
 }
 
 /* Times this near are one time: steps of 0.1 s do not add up to 1 s. The edge may be infinite; a
@@ -127,7 +129,7 @@ static double next_edge(const component_t *c) {
     if (!reached(now->time, edge_of(c, k))) next = fmin(next, edge_of(c, k));
   if (now->stepping) return next;
   if (!reached(now->time, now->limit)) next = fmin(next, now->limit);
-  for (long i = 0; i < c->model->n_contacts && c->model->data[D_MAKES_UP] > 0; i++) {
+  for (long i = 0; i < c->model->n_contacts && makes_up(c->model); i++) {
     const leg_t leg = leg_of(c, i, leg_now(c, i));
     const double far = fmin(now->limit, beyond_zeros(c, &leg, now->time));
     const long n = signs_of(&leg, 1, now->time, far, turn);

@@ -12,11 +12,11 @@ static double *load_table(component_t *c, const table_t *t) {
 }
 
 /* Loads a table of a body's surface; numbers: how the surface's grow, or NULL. */
-static double *load_surface(component_t *c, const double *body, const table_t *t,
+static double *load_surface(component_t *c, long i, int side, const table_t *t,
                             double (*numbers)[L]) {
-  const size_t n = (size_t)body[Q_N_VALUES];
-  c->buffer[0] = body[Q_SIGN];
-  memcpy(c->buffer + 1, c->value + (long)body[Q_VALUES], n * sizeof *c->value);
+  const size_t n = n_parameters(c->model, i, side);
+  c->buffer[0] = scene_of(c->model, i)[(long)body_of(c->model, i, side)[B_NUMBERS]]; /* sign */
+  memcpy(c->buffer + 1, c->value + parameters_of(c->model, i, side), n * sizeof *c->value);
   double *r = load_table(c, t);
   memset(c->along, 0, (size_t)t->n_regs * sizeof *c->along);
   if (numbers) memcpy(c->along + t->n_in + 1, numbers, n * sizeof *numbers);
@@ -29,29 +29,32 @@ static double *load_surface(component_t *c, const double *body, const table_t *t
    gradient. Returns what is wrong, or NULL. */
 static const char *put_frame(component_t *c, long i, int side, double frame[6], double (*grows)[L],
                              double (*numbers)[L]) {
-  const double *body = body_of_contact(c->model, i, side), *starts = section(c->model, D_STARTS);
+  const double *starts = section(c->model, D_STARTS), *row = scene_of(c->model, i) + S_HEADER;
   const table_t *const *tables = surface_of(c->model, i, side)->ambient, *t = tables[A_START];
   const double *own =
       starts + c->model->layout[i].at[OF_STATES] + side * c->model->layout[i].frame[0];
-  const long at = (long)body[Q_VALUES];
-  const int set = memcmp(c->value + at, starts + at, (size_t)body[Q_N_VALUES] * sizeof *starts);
+  const long at = parameters_of(c->model, i, side);
+  const int set =
+      memcmp(c->value + at, starts + at, n_parameters(c->model, i, side) * sizeof *starts);
   if (t && (set || grows) && !memcmp(frame, own, 6 * sizeof *frame)) {
-    double *r = load_surface(c, body, t, numbers);
-    memcpy(r, contact_of(c->model, i) + P_PLACES + 3 * side, 3 * sizeof *r);
+    double *r = load_surface(c, i, side, t, numbers);
+    memcpy(r, row + (side ? K_PLACE_2 : K_PLACE_1), 2 * sizeof *r);
+    r[2] = side ? 0.0 : -row[K_ANGLE];
     c->engine->along(&(program_t){t->body, r}, c->along);
     const int found = all_finite(r + t->first_out, 6);
     if (found) memcpy(frame, r + t->first_out, 6 * sizeof *frame);
     for (int a = 0; a < 6 && grows && found; a++)
       for (int k = 0; k < L; k++) grows[a][k] += c->along[t->first_out + a][k];
   }
-  double *r = load_surface(c, body, t = tables[A_RESTORE], numbers), moved = 1.0;
+  double *r = load_surface(c, i, side, t = tables[A_RESTORE], numbers), moved = 1.0;
   memcpy(r, frame, 6 * sizeof *r);
   if (grows) memcpy(c->along, grows, 6 * sizeof *grows);
   for (int k = 0; k < 50 && moved > 1e-12; k++) {
     c->engine->along(&(program_t){t->body, r}, c->along);
     const double *y = r + t->first_out;
     moved = 0.0;
-    for (int a = 0; a < 6; a++) moved += fabs(y[a] - r[a]) / (a < 3 ? body[Q_LENGTH] : 1.0);
+    for (int a = 0; a < 6; a++)
+      moved += fabs(y[a] - r[a]) / (a < 3 ? body_of(c->model, i, side)[B_LENGTH] : 1.0);
     memcpy(r, y, 6 * sizeof *r);
     memcpy(c->along, c->along + t->first_out, 6 * sizeof *c->along);
   }
@@ -70,14 +73,14 @@ static const char *put_frames(component_t *c, long i, double *states, double (*g
   const table_t *t = system_of(m, i); /* its last constants are the numbers of finger and object */
   const char *wrong = NULL;
   long numbers = t->n_in + t->n_const;
-  for (int side = 0; side < 2; side++) numbers -= (long)body_of_contact(m, i, side)[Q_N_VALUES];
+  for (int side = 0; side < 2; side++) numbers -= (long)n_parameters(m, i, side);
   for (int side = 0; side < 2 && !wrong; side++) {
     const long from = side * m->layout[i].frame[0];
     double (*own)[L] = grows ? grows + 1 + from : NULL; /* behind time */
     double (*of)[L] = grows ? grows + numbers : NULL;
     if (m->layout[i].frame[side] == 6)
       UNTRAPPED(wrong = put_frame(c, i, side, states + from, own, of));
-    numbers += (long)body_of_contact(m, i, side)[Q_N_VALUES];
+    numbers += (long)n_parameters(m, i, side);
   }
   return wrong;
 }

@@ -14,7 +14,7 @@ static const char *place_contact(component_t *c, long i) {
   if (leaves_slip_behind(c, i)) no_slip(l, x);
   const double *coordinates = c->value + l->at[OF_COORDINATES]; /* whose psi is a principal value */
   const double turn = 6.283185307179586, psi = coordinates[8];
-  const double turns = rint((-contact_of(m, i)[P_PLACES + 2] - psi) / turn);
+  const double turns = rint((scene_of(m, i)[S_HEADER + K_ANGLE] - psi) / turn);
   to[K_MOMENT] = 1.0; /* psi = -theta_1 - theta_2, R_0 = diag(1, -1) */
   for (int side = 0; side < 2; x += l->frame[side++]) {
     double *place = to + (side ? K_PLACE_2 : K_PLACE_1);
@@ -29,7 +29,7 @@ static const char *place_contact(component_t *c, long i) {
   memcpy(to + K_W1, x, 4 * sizeof *x);
   if (!all_finite(s->row, CONTACT_SIZE))
     return "its charts have no coordinates there, as at a pole";
-  const double stop = c->now->stop_time, horizon = m->data[D_HORIZON];
+  const double stop = c->now->stop_time, horizon = horizon_of(m);
   s->end = -(stop < HUGE_VAL ? stop : s->begin < horizon ? horizon : s->begin + horizon);
   return NULL;
 }

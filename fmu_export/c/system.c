@@ -27,7 +27,9 @@ static double *load_system(component_t *c, long i, double (*grows)[L]) {
   memcpy(x, c->value + l->at[OF_STATES], (size_t)l->states * sizeof *x);
   if (c->now->phase == INITIALIZATION) put_frames(c, i, x, grows);
   for (long j = 0, own = 0; j < t->n_const; j++)
-    c->buffer[j] = column[j] >= 0 ? c->value[(long)column[j]] : leg.sigma[own++];
+    c->buffer[j] = column[j] >= 0 ? c->value[(long)column[j]]
+                   : own < leg.n  ? leg.sigma[own++]
+                                  : 0.0;
   double *r = load_table(c, t);
   r[0] = c->now->time - leg.start;
   memcpy(r + 1, x, (size_t)l->states * sizeof *x);
@@ -72,7 +74,7 @@ static void turn_path(component_t *c, long i, const leg_t *leg) {
   double *x = c->value + l->at[OF_STATES], *w = x + l->states - 4;
   const double turned[2] = {cs * w[0] - sn * w[1], sn * w[0] + cs * w[1]};
   memcpy(w, turned, sizeof turned);
-  if (c->model->data[D_MAKES_UP] > 0 && leg->sigma[0] == 0.0) no_slip(l, x);
+  if (makes_up(c->model) && leg->sigma[0] == 0.0) no_slip(l, x);
 }
 
 static void enter_windows(component_t *c) {
