@@ -4,6 +4,12 @@
 #include <stdarg.h>
 
 #include "model.c"
+
+/* The values of contact i from a group on */
+static inline double *values_of(const component_t *c, long i, int group) {
+  return c->value + at_of(c->model, i, group);
+}
+
 #include "profile.c"
 #include "starts.c"
 #include "system.c"
@@ -118,25 +124,22 @@ static void set_value(component_t *c, unsigned reference, double value) {
 /* All are set, or none. */
 static status_t set_states(component_t *c, const double *state) {
   for (int sets = 0; sets < 2; sets++)
-    for (long i = 0, k = 0; i < c->model->n_contacts; i++) {
-      const layout_t *l = c->model->layout + i;
-      for (long r = l->at[OF_STATES]; r < l->at[OF_RATES]; r++, k++)
+    for (long i = 0, k = 0; i < c->model->n_contacts; i++)
+      for (long r = at_of(c->model, i, OF_STATES); r < at_of(c->model, i, OF_RATES); r++, k++)
         if (sets)
           set_value(c, (unsigned)r, state[k]);
         else if (check_value(c, (unsigned)r, state[k]))
           return DISCARD;
-    }
   return OK;
 }
 
 static status_t get_states(component_t *c, double *state, int rates) {
   if (rates) c->follows |= c->changed, c->changed = 0;
   for (long i = 0; i < c->model->n_contacts; i++) {
-    const layout_t *l = c->model->layout + i;
-    const status_t s =
-        get_values(c, (unsigned)(rates ? l->at[OF_RATES] : l->at[OF_STATES]), l->states, state);
+    const long at = at_of(c->model, i, rates ? OF_RATES : OF_STATES);
+    const status_t s = get_values(c, (unsigned)at, states_of(c->model, i), state);
     if (s) return s;
-    state += l->states;
+    state += states_of(c->model, i);
   }
   return OK;
 }

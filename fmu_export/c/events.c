@@ -3,7 +3,7 @@
 /* Whether an input accelerates a path that rests; it has no rates, and can be looked at without. */
 static int pushed_at_rest(const component_t *c, long i) {
   for (int j = 0; j < 4; j++)
-    if (c->value[c->model->layout[i].at[OF_INPUTS] + j] != 0.0) return rests(c, i);
+    if (values_of(c, i, OF_INPUTS)[j] != 0.0) return rests(c, i);
   return 0;
 }
 
@@ -25,8 +25,7 @@ static const char *sense(component_t *c, long i, const double states[N_STATES],
     memcpy(x, n == 3 ? points + 3 * side : states + 4 * side, (size_t)n * sizeof *x), x += n;
   }
   const long unknowns = x - r;
-  memcpy(x, c->value + c->model->layout[i].at[OF_MEASURED] + MEASURED,
-         (size_t)(t->n_in - unknowns) * sizeof *x);
+  memcpy(x, values_of(c, i, OF_MEASURED) + MEASURED, (size_t)(t->n_in - unknowns) * sizeof *x);
   for (int k = 0;; k++) {
     c->engine->step(&(program_t){t->body, r});
     if (!(y[unknowns] > limit[N_SMALL]) || k >= (int)limit[N_MOST_STEPS]) break;
@@ -76,8 +75,8 @@ static const char *begin_at(component_t *c, long i, segment_t *s, const double x
 static const char *begin_measured(component_t *c, long i, segment_t *s) {
   const int posed = contact_of(c->model, i)[P_UNKNOWNS] > 0;
   int sided = posed;
-  const long *at = c->model->layout[i].at;
-  const double *planned = c->value + at[OF_COORDINATES], *points = c->value + at[OF_POINTS], *found;
+  const double *planned = values_of(c, i, OF_COORDINATES), *points = values_of(c, i, OF_POINTS);
+  const double *found;
   double x[N_STATES];
   if (!(sigma_now(c, i) > 0))
     return "sigma is zero, so that rates do not determine path velocities; measure while sigma > 0";
@@ -109,12 +108,11 @@ static status_t settle(component_t *c, const char *what, double target) {
     segment_t *s = c->segment + i;
     const int pushed = pushed_at_rest(c, i);
     rest |= pushed;
-    const layout_t *l = c->model->layout + i;
     double acting[DISTURBANCES];
     for (int j = 0; j < DISTURBANCES; j++)
-      acting[j] = pushed && j < 4 ? 0.0 : c->value[l->at[OF_INPUTS] + j];
-    const int measures = l->at[OF_MEASURED] < l->at[OF_STATES];
-    const double heard = measures ? c->value[l->at[OF_MEASURED] + TRIGGER] : 0.0;
+      acting[j] = pushed && j < 4 ? 0.0 : values_of(c, i, OF_INPUTS)[j];
+    const int measures = at_of(c->model, i, OF_MEASURED) < at_of(c->model, i, OF_STATES);
+    const double heard = measures ? values_of(c, i, OF_MEASURED)[TRIGGER] : 0.0;
     const int again = heard != 0.0 && heard != s->trigger;
     s->trigger = heard;
     if (!again && s->gain == c->value[GAIN] && !memcmp(s->acting, acting, sizeof acting)) continue;

@@ -20,6 +20,20 @@ static inline const double *contact_of(const model_t *m, long i) {
   return section(m, D_AT_CONTACTS) + i * P_SIZE;
 }
 
+/* Where a group of a contact's values begins, or for GROUPS where the last one ends: a reference */
+static inline long at_of(const model_t *m, long i, int group) {
+  return (long)contact_of(m, i)[P_GROUPS + group];
+}
+
+/* How many states a contact has: those of two frames, then W_1 and V */
+static inline long states_of(const model_t *m, long i) {
+  return at_of(m, i, OF_RATES) - at_of(m, i, OF_STATES);
+}
+
+static inline long frame_of(const model_t *m, long i, int side) {
+  return (long)contact_of(m, i)[P_FRAMES + side];
+}
+
 /* The engine's buffer of a contact as it was exported, and a body's row there */
 static inline const double *scene_of(const model_t *m, long i) {
   return m->data + (long)contact_of(m, i)[P_SCENE];
@@ -102,20 +116,9 @@ static void read_surfaces(model_t *m) {
   }
 }
 
-static void lay_out(model_t *m) {
-  for (long i = 0; i < m->n_contacts; i++) {
-    const double *row = contact_of(m, i);
-    layout_t *l = m->layout + i;
-    for (int side = 0; side < 2; side++) l->frame[side] = (long)row[P_FRAMES + side];
-    for (int g = 0; g <= GROUPS; g++) l->at[g] = (long)row[P_GROUPS + g];
-    l->states = l->at[OF_RATES] - l->at[OF_STATES];
-    m->n_states += l->states;
-  }
-}
-
 static void free_model(model_t *m) {
   if (!m) return;
-  free(m->data), free(m->surfaces), free(m->own), free(m->tables), free(m->layout), free(m);
+  free(m->data), free(m->surfaces), free(m->own), free(m->tables), free(m);
 }
 
 /* Returns NULL and says why where there is no scene that fits. */
@@ -137,12 +140,11 @@ static model_t *read_model(const char *resources, const char **wrong) {
   const size_t surfaces = (size_t)d[D_N_SURFACES];
   m->surfaces = calloc(surfaces, sizeof *m->surfaces), m->own = calloc(surfaces, sizeof *m->own);
   m->tables = calloc((size_t)d[D_N_TABLES], sizeof *m->tables);
-  m->layout = calloc((size_t)m->n_contacts, sizeof *m->layout);
   *wrong = "no memory";
-  if (!m->surfaces || !m->own || !m->tables || !m->layout) goto refused;
+  if (!m->surfaces || !m->own || !m->tables) goto refused;
   read_tables(m);
   read_surfaces(m);
-  lay_out(m);
+  for (long i = 0; i < m->n_contacts; i++) m->n_states += states_of(m, i);
   *wrong = NULL;
   return m;
 refused:

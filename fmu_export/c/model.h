@@ -106,19 +106,11 @@ enum { TIME_VALUE, GAIN, PROFILE };                                       /* ref
 enum { CALCULATED, INDEPENDENT, CONSTANT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */
 enum { DISTURBANCES = 6 };
 
-/* one contact's place among the values */
-typedef struct {
-  long at[GROUPS + 1]; /* references: each group from there on to the next */
-  long states;
-  long frame[2]; /* sizes of frames among the states, which W_1 and V follow */
-} layout_t;
-
 typedef struct {
   double *data;
   const surface_t **surfaces;
   surface_t *own;
   table_t *tables; /* of contacts, and of the user's surfaces */
-  layout_t *layout;
   long n_contacts, n_values, n_states, n_windows;
 } model_t;
 

@@ -78,37 +78,37 @@ static int go_on(component_t *c, plan_t *plan, double t, segment_t *s) {
 
 #define BIT(group) (1u << (group))
 
-static void put_states(const layout_t *l, const double *row, double *to) {
+static void put_states(const model_t *m, long i, const double *row, double *to) {
   const int frame[2] = {K_FRAME_1, K_FRAME_2}, place[2] = {K_PLACE_1, K_PLACE_2};
-  for (int side = 0; side < 2; to += l->frame[side++])
-    memcpy(to, row + (l->frame[side] == 6 ? frame : place)[side],
-           (size_t)l->frame[side] * sizeof *to);
+  for (int side = 0; side < 2; to += frame_of(m, i, side++)) {
+    const long n = frame_of(m, i, side);
+    memcpy(to, row + (n == 6 ? frame : place)[side], (size_t)n * sizeof *to);
+  }
   memcpy(to, row + K_W1, 4 * sizeof *to);
 }
 
 /* Evaluates groups of contact i at time t into its values; returns not 0 where a group has none. */
 static int look(component_t *c, long i, double t, unsigned groups) {
-  const layout_t *l = c->model->layout + i;
   live_t *k = c->live + i;
   segment_t now;
   int wrong = 0;
-  double pose[16], *v = c->value, *out[N_OUTPUTS] = {0};
-  if (groups & BIT(OF_COORDINATES)) out[STATES] = v + l->at[OF_COORDINATES];
-  if (groups & BIT(OF_SLIP)) out[SLIP] = v + l->at[OF_SLIP];
-  if (groups & BIT(OF_TWIST)) out[TWIST] = v + l->at[OF_TWIST];
+  double pose[16], *out[N_OUTPUTS] = {0};
+  if (groups & BIT(OF_COORDINATES)) out[STATES] = values_of(c, i, OF_COORDINATES);
+  if (groups & BIT(OF_SLIP)) out[SLIP] = values_of(c, i, OF_SLIP);
+  if (groups & BIT(OF_TWIST)) out[TWIST] = values_of(c, i, OF_TWIST);
   if (groups & BIT(OF_POSE)) out[POSE] = pose;
-  if (groups & BIT(OF_POINTS)) out[POINTS] = v + l->at[OF_POINTS];
-  if (groups & BIT(OF_CONDITION)) out[SLIP_SPEED] = v + l->at[OF_CONDITION] + 1;
+  if (groups & BIT(OF_POINTS)) out[POINTS] = values_of(c, i, OF_POINTS);
+  if (groups & BIT(OF_CONDITION)) out[SLIP_SPEED] = values_of(c, i, OF_CONDITION) + 1;
   if (!k->anchored && (out[STATES] || out[SLIP])) {
     UNTRAPPED(wrong = c->engine->anchor(k->plan, &c->failure));
     k->anchored = !wrong;
   }
   if (!wrong) UNTRAPPED(wrong = c->engine->look(k->plan, t, out, &c->failure));
   if (wrong || (groups & BIT(OF_STATES) && go_on(c, k->plan, t, &now))) return 1;
-  if (groups & BIT(OF_STATES)) put_states(l, now.row, v + l->at[OF_STATES]);
+  if (groups & BIT(OF_STATES)) put_states(c->model, i, now.row, values_of(c, i, OF_STATES));
   for (int r = 0; r < 3 && out[POSE]; r++) {
-    memcpy(v + l->at[OF_POSE] + 3 * r, pose + 4 * r, 3 * sizeof *v);
-    v[l->at[OF_POSE] + 9 + r] = pose[4 * r + 3];
+    memcpy(values_of(c, i, OF_POSE) + 3 * r, pose + 4 * r, 3 * sizeof *pose);
+    values_of(c, i, OF_POSE)[9 + r] = pose[4 * r + 3];
   }
   return 0;
 }

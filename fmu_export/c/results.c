@@ -3,20 +3,18 @@
 #define ALL_RESULTS (BIT(GROUPS) - BIT(OF_STATES))
 
 static void no_values(component_t *c, long i, unsigned groups) {
-  const long *at = c->model->layout[i].at;
   for (int g = OF_STATES; g < GROUPS; g++)
-    for (long j = at[g]; groups & BIT(g) && j < at[g + 1]; j++) c->value[j] = NAN;
+    for (double *x = values_of(c, i, g); groups & BIT(g) && x < values_of(c, i, g + 1); x++)
+      *x = NAN;
 }
 
 /* Rates, from the equations at the states; sigma and what follows from it */
 static void find_rates(component_t *c, long i, unsigned groups) {
-  const layout_t *l = c->model->layout + i;
-  const double *found = run_system(c, i),
-               *condition = found + l->at[OF_CONDITION] - l->at[OF_RATES];
+  double *rates = values_of(c, i, OF_RATES), *condition = values_of(c, i, OF_CONDITION);
+  const double *found = run_system(c, i);
   for (int j = 0; j < 4 && groups & BIT(OF_CONDITION); j++)
-    if (j != 1) c->value[l->at[OF_CONDITION] + j] = condition[j];
-  if (groups & BIT(OF_RATES))
-    memcpy(c->value + l->at[OF_RATES], found, (size_t)l->states * sizeof *found);
+    if (j != 1) condition[j] = found[condition - rates + j];
+  if (groups & BIT(OF_RATES)) memcpy(rates, found, (size_t)states_of(c->model, i) * sizeof *found);
 }
 
 /* Brings groups of contact i up to date. */
@@ -47,9 +45,8 @@ static status_t find(component_t *c, long i, unsigned groups) {
 
 /* The group to be found for a value, as a bit; 0 where it is given */
 static unsigned group_of(const component_t *c, long i, long reference) {
-  const long *at = c->model->layout[i].at;
   int g = OF_INPUTS;
-  while (reference >= at[g + 1]) g++;
+  while (reference >= at_of(c->model, i, g + 1)) g++;
   if (SYSTEM(c->now)) return g < OF_RATES ? 0 : ALL_RESULTS;
   return BIT(g) & ALL_RESULTS;
 }
@@ -110,7 +107,7 @@ static void grow_windows(component_t *c, long i) {
   for (long k = 0; k < c->model->n_windows; k++)
     for (int a = 0; a < 2 && acts(c, k, i); a++) {
       const long at = (long)window_of(c, k)[V_VALUES] + 2 + a;
-      const long input = c->model->layout[i].at[OF_INPUTS] + 2 * (int)window_of(c, k)[V_SLOT] + a;
+      const long input = at_of(c->model, i, OF_INPUTS) + 2 * (int)window_of(c, k)[V_SLOT] + a;
       for (int d = 0; d < L; d++)
         c->grows[input][d] += c->value[scale] * c->grows[at][d] + c->value[at] * c->grows[scale][d];
     }
@@ -118,11 +115,11 @@ static void grow_windows(component_t *c, long i) {
 
 /* The results of contact i, from its point and constants */
 static void grow_results(component_t *c, long i) {
-  const layout_t *l = c->model->layout + i;
+  const long n = n_results(c->model, i);
   const table_t *t = system_of(c->model, i);
   const double *column = c->model->data + (long)contact_of(c->model, i)[P_COLUMNS];
-  double (*results)[L] = c->grows + l->at[OF_RATES];
-  const size_t room = (size_t)n_results(l) * sizeof *results;
+  double (*results)[L] = c->grows + at_of(c->model, i, OF_RATES);
+  const size_t room = (size_t)n * sizeof *results;
   int any = 0;
   memset(results, 0, room);
   for (long r = 0; r < t->n_in + t->n_const; r++)
@@ -140,7 +137,7 @@ static void grow_results(component_t *c, long i) {
     memcpy(results, c->tangents + t->first_out, room);
   }
   const double most = past_end(c) ? -1.0 : rests(c, i) ? BEYOND_VALUES : HUGE_VAL;
-  for (long j = 0; j < n_results(l); j++)
+  for (long j = 0; j < n; j++)
     for (int d = 0; d < L; d++)
       if (fabs(results[j][d]) > most) results[j][d] = NAN;
 }

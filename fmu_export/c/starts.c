@@ -31,8 +31,7 @@ static const char *put_frame(component_t *c, long i, int side, double frame[6], 
                              double (*numbers)[L]) {
   const double *starts = section(c->model, D_STARTS), *row = scene_of(c->model, i) + S_HEADER;
   const table_t *const *tables = surface_of(c->model, i, side)->ambient, *t = tables[A_START];
-  const double *own =
-      starts + c->model->layout[i].at[OF_STATES] + side * c->model->layout[i].frame[0];
+  const double *own = starts + at_of(c->model, i, OF_STATES) + side * frame_of(c->model, i, 0);
   const long at = parameters_of(c->model, i, side);
   const int set =
       memcmp(c->value + at, starts + at, n_parameters(c->model, i, side) * sizeof *starts);
@@ -75,11 +74,10 @@ static const char *put_frames(component_t *c, long i, double *states, double (*g
   long numbers = t->n_in + t->n_const;
   for (int side = 0; side < 2; side++) numbers -= (long)n_parameters(m, i, side);
   for (int side = 0; side < 2 && !wrong; side++) {
-    const long from = side * m->layout[i].frame[0];
+    const long from = side * frame_of(m, i, 0);
     double (*own)[L] = grows ? grows + 1 + from : NULL; /* behind time */
     double (*of)[L] = grows ? grows + numbers : NULL;
-    if (m->layout[i].frame[side] == 6)
-      UNTRAPPED(wrong = put_frame(c, i, side, states + from, own, of));
+    if (frame_of(m, i, side) == 6) UNTRAPPED(wrong = put_frame(c, i, side, states + from, own, of));
     numbers += (long)n_parameters(m, i, side);
   }
   return wrong;

@@ -3,22 +3,21 @@
 /* Where contact i starts, from its states. Returns what is wrong, or NULL. */
 static const char *place_contact(component_t *c, long i) {
   const model_t *m = c->model;
-  const layout_t *l = m->layout + i;
   segment_t *s = c->segment + i;
-  double *x = c->value + l->at[OF_STATES], *to = s->row;
+  double *x = values_of(c, i, OF_STATES), *to = s->row;
   const char *wrong = put_frames(c, i, x, NULL);
   if (wrong) return wrong;
-  const double theta = find_system(c, i)[n_results(l)]; /* of the object's frame */
+  const double theta = find_system(c, i)[n_results(m, i)]; /* of the object's frame */
   memset(s, 0, sizeof *s);
   s->begin = c->now->time, s->gain = c->value[GAIN];
-  if (leaves_slip_behind(c, i)) no_slip(l, x);
-  const double *coordinates = c->value + l->at[OF_COORDINATES]; /* whose psi is a principal value */
+  if (leaves_slip_behind(c, i)) no_slip(m, i, x);
+  const double *coordinates = values_of(c, i, OF_COORDINATES); /* whose psi is a principal value */
   const double turn = 6.283185307179586, psi = coordinates[8];
   const double turns = rint((scene_of(m, i)[S_HEADER + K_ANGLE] - psi) / turn);
   to[K_MOMENT] = 1.0; /* psi = -theta_1 - theta_2, R_0 = diag(1, -1) */
-  for (int side = 0; side < 2; x += l->frame[side++]) {
+  for (int side = 0; side < 2; x += frame_of(m, i, side++)) {
     double *place = to + (side ? K_PLACE_2 : K_PLACE_1);
-    if (l->frame[side] == 3) {
+    if (frame_of(m, i, side) == 3) {
       memcpy(place, x, 3 * sizeof *x);
       continue;
     }

@@ -3,12 +3,14 @@
    point: time, states, disturbances (6); constants: gain, profile, numbers of finger and object;
    results: the values from `rate` on, then the object's theta. */
 
-static long n_results(const layout_t *l) { return l->at[GROUPS] - l->at[OF_RATES]; }
+static long n_results(const model_t *m, long i) {
+  return at_of(m, i, GROUPS) - at_of(m, i, OF_RATES);
+}
 
 /* Inputs and windows on contact i */
 static void acting_on(const component_t *c, long i, double out[DISTURBANCES]) {
   const double scale = c->value[(long)c->model->data[D_SCALE]];
-  memcpy(out, c->value + c->model->layout[i].at[OF_INPUTS], DISTURBANCES * sizeof *out);
+  memcpy(out, values_of(c, i, OF_INPUTS), DISTURBANCES * sizeof *out);
   for (long k = 0; k < c->model->n_windows; k++)
     for (int a = 0; a < 2 && acts(c, k, i); a++)
       out[2 * (int)window_of(c, k)[V_SLOT] + a] += scale * window_values(c, k)[2 + a];
@@ -19,12 +21,12 @@ static void acting_on(const component_t *c, long i, double out[DISTURBANCES]) {
    NULL where no derivatives are asked for. */
 static double *load_system(component_t *c, long i, double (*grows)[L]) {
   const model_t *m = c->model;
-  const layout_t *l = m->layout + i;
+  const long n = states_of(m, i);
   const table_t *t = system_of(m, i);
   const leg_t leg = leg_of(c, i, leg_now(c, i));
   const double *column = m->data + (long)contact_of(m, i)[P_COLUMNS] + t->n_in;
   double x[6 + 6 + 4]; /* two frames, W_1 and V at most */
-  memcpy(x, c->value + l->at[OF_STATES], (size_t)l->states * sizeof *x);
+  memcpy(x, values_of(c, i, OF_STATES), (size_t)n * sizeof *x);
   if (c->now->phase == INITIALIZATION) put_frames(c, i, x, grows);
   for (long j = 0, own = 0; j < t->n_const; j++)
     c->buffer[j] = column[j] >= 0 ? c->value[(long)column[j]]
@@ -32,13 +34,15 @@ static double *load_system(component_t *c, long i, double (*grows)[L]) {
                                   : 0.0;
   double *r = load_table(c, t);
   r[0] = c->now->time - leg.start;
-  memcpy(r + 1, x, (size_t)l->states * sizeof *x);
-  acting_on(c, i, r + 1 + l->states);
+  memcpy(r + 1, x, (size_t)n * sizeof *x);
+  acting_on(c, i, r + 1 + n);
   return r;
 }
 
 /* States without slip, or its rates */
-static void no_slip(const layout_t *l, double *x) { x[l->states - 2] = x[l->states - 1] = 0.0; }
+static void no_slip(const model_t *m, long i, double *x) {
+  x[states_of(m, i) - 2] = x[states_of(m, i) - 1] = 0.0;
+}
 
 /* Whether slip's rates are infinite, and no acceleration is to blame. Solvers look at a rest in
    mid-motion before slip is left behind there. */
@@ -54,27 +58,26 @@ static const double *run_system(component_t *c, long i) {
   const table_t *t = system_of(c->model, i);
   UNTRAPPED(c->engine->step(&(program_t){t->body, load_system(c, i, NULL)}));
   double *found = c->registers + t->first_out;
-  if (has_no_rate(c, i)) no_slip(c->model->layout + i, found);
+  if (has_no_rate(c, i)) no_slip(c->model, i, found);
   return found;
 }
 
 static const double *find_system(component_t *c, long i) {
-  const layout_t *l = c->model->layout + i;
+  double *results = values_of(c, i, OF_RATES);
   const double *found = run_system(c, i);
-  memcpy(c->value + l->at[OF_RATES], found, (size_t)n_results(l) * sizeof *found);
-  for (long j = l->at[OF_RATES]; j < l->at[GROUPS] && past_end(c); j++) c->value[j] = NAN;
+  memcpy(results, found, (size_t)n_results(c->model, i) * sizeof *found);
+  for (long j = 0; j < n_results(c->model, i) && past_end(c); j++) results[j] = NAN;
   return found;
 }
 
 /* The path turns where a leg begins. What slips goes on slipping, but behind a rest under a law
    that makes up for growth. */
 static void turn_path(component_t *c, long i, const leg_t *leg) {
-  const layout_t *l = c->model->layout + i;
   const double cs = leg->turn[0], sn = leg->turn[1];
-  double *x = c->value + l->at[OF_STATES], *w = x + l->states - 4;
+  double *x = values_of(c, i, OF_STATES), *w = x + states_of(c->model, i) - 4;
   const double turned[2] = {cs * w[0] - sn * w[1], sn * w[0] + cs * w[1]};
   memcpy(w, turned, sizeof turned);
-  if (makes_up(c->model) && leg->sigma[0] == 0.0) no_slip(l, x);
+  if (makes_up(c->model) && leg->sigma[0] == 0.0) no_slip(c->model, i, x);
 }
 
 static void enter_windows(component_t *c) {
@@ -93,7 +96,7 @@ static void enter_windows(component_t *c) {
       if (before < leg.start && leg.start <= now->acts_at) turn_path(c, i, &leg);
     }
     if (!leaves_slip_behind(c, i)) continue;
-    no_slip(c->model->layout + i, c->value + c->model->layout[i].at[OF_STATES]);
+    no_slip(c->model, i, values_of(c, i, OF_STATES));
     now->jumped = 1;
   }
 }
