@@ -10,7 +10,7 @@ Results are the states' derivatives; the nine numbers of charts, u1 v1 u1' v1' u
 slip (2), twist (6), the pose of the finger in the object's frame (rotation row by row, 9,
 position, 3), the contact point on finger and object (3 + 3); sigma, the length of the slip, 1 where
 a disturbance acts, and the time in which slip falls to a hundredth at its present rate, `NEVER`
-where it does not; then the angle of the object's frame, which the component alone reads.
+where it does not.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from contact_system.contact_equations import Form, contact_function
 from contact_system.contact_sensor import measured_contact
 from contact_system.surfaces import TINY, Surface
 from contact_system.theory import symbols as ca
-from contact_system.theory.development import in_space, moving
+from contact_system.theory.development import in_space
 from contact_system.theory.gain import LAWS
 from contact_system.theory.geometry import number_symbols
 from contact_system.theory.lowering import Table
@@ -47,7 +47,7 @@ def frame_sizes(finger: Surface, obj: Surface) -> tuple[int, int]:
 @per_structure
 def equations(finger: Surface, obj: Surface, law: str, n_profile: int) -> tuple[Table, np.ndarray]:
     """The table (time, states, disturbances | gain, profile, numbers of both) -> results; and which
-    of these each result depends on, but the last."""
+    of these each result depends on."""
     with making_symbols():
         forms = in_space(finger, True), in_space(obj, True)
         form = Form("frame", True, forms, law, n_profile, ())
@@ -67,12 +67,11 @@ def equations(finger: Surface, obj: Surface, law: str, n_profile: int) -> tuple[
             *(found["derivatives"], found["state"]),
             *(found["slip"], found["twist"], by_rows, found["contact_point"]),
             *_condition(law, t, own, found["slip"], w),
-            _object_theta(obj, x, p2),
         )
         point, constants = ca.vertcat(t, x, w), ca.vertcat(gain, profile, p1, p2)
         made = ca.Function("equations", [point, constants], [ca.densify(ca.cse(results))])
         parts = [ca.DM(made.jac_sparsity(0, k), 1).full() for k in range(2)]
-        return Table(made), np.hstack(parts)[:-1] != 0
+        return Table(made), np.hstack(parts) != 0
 
 
 def _condition(law: str, t: ca.SX, own: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca.SX]:
@@ -83,13 +82,6 @@ def _condition(law: str, t: ca.SX, own: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca
     rate = LAWS[law].rate(own[0], sigma, ca.fmax(0, growth)) - growth  # of contraction
     recovery = ca.fmin(math.log(100) / ca.fmax(rate, 1e-9), NEVER)
     return [sigma, ca.sqrt(ca.sumsqr(slip) + TINY), ca.sumsqr(w) > 0, recovery]
-
-
-def _object_theta(obj: Surface, state: ca.SX, p2: ca.SX) -> ca.SX:
-    if not in_space(obj, True):
-        return state[-5]  # u v theta, W_1, V
-    place = ca.vertcat(state[-10:-4], 0, 0)
-    return moving(obj, True)("coordinates")(place, ca.vertcat(obj.sign, p2))[4]
 
 
 @per_structure

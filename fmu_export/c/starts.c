@@ -65,6 +65,16 @@ static const char *put_frame(component_t *c, long i, int side, double frame[6], 
   return NULL;
 }
 
+/* u v theta of a frame in space, in principal values */
+static void find_place(component_t *c, long i, int side, const double frame[6], double place[3]) {
+  const table_t *t = surface_of(c->model, i, side)->ambient[A_COORDINATES];
+  double *r = load_surface(c, i, side, t, NULL);
+  memset(r, 0, (size_t)t->n_in * sizeof *r); /* it does not move */
+  memcpy(r, frame, 6 * sizeof *r);
+  UNTRAPPED(c->engine->step(&(program_t){t->body, r}));
+  place[0] = r[t->first_out], place[1] = r[t->first_out + 1], place[2] = r[t->first_out + 4];
+}
+
 /* Both frames of contact i among these states, where they are in space. grows: of the point and
    constants of its equations, or NULL. Returns what is wrong, or NULL. */
 static const char *put_frames(component_t *c, long i, double *states, double (*grows)[L]) {

@@ -7,25 +7,23 @@ static const char *place_contact(component_t *c, long i) {
   double *x = values_of(c, i, OF_STATES), *to = s->row;
   const char *wrong = put_frames(c, i, x, NULL);
   if (wrong) return wrong;
-  const double theta = find_system(c, i)[n_results(m, i)]; /* of the object's frame */
   memset(s, 0, sizeof *s);
   s->begin = c->now->time, s->gain = c->value[GAIN];
   if (leaves_slip_behind(c, i)) no_slip(m, i, x);
-  const double *coordinates = values_of(c, i, OF_COORDINATES); /* whose psi is a principal value */
-  const double turn = 6.283185307179586, psi = coordinates[8];
-  const double turns = rint((scene_of(m, i)[S_HEADER + K_ANGLE] - psi) / turn);
   to[K_MOMENT] = 1.0; /* psi = -theta_1 - theta_2, R_0 = diag(1, -1) */
   for (int side = 0; side < 2; x += frame_of(m, i, side++)) {
     double *place = to + (side ? K_PLACE_2 : K_PLACE_1);
-    if (frame_of(m, i, side) == 3) {
+    if (frame_of(m, i, side) == 6) {
+      memcpy(to + (side ? K_FRAME_2 : K_FRAME_1), x, 6 * sizeof *x);
+      find_place(c, i, side, x, place);
+    } else
       memcpy(place, x, 3 * sizeof *x);
-      continue;
-    }
-    memcpy(to + (side ? K_FRAME_2 : K_FRAME_1), x, 6 * sizeof *x);
-    place[0] = coordinates[4 * side], place[1] = coordinates[4 * side + 1];
-    place[2] = side ? theta : -(psi + turns * turn) - theta;
   }
   memcpy(to + K_W1, x, 4 * sizeof *x);
+  if (frame_of(m, i, 0) == 6) { /* psi is found but for whole turns */
+    const double turn = 6.283185307179586, psi = -to[K_PLACE_1 + 2] - to[K_PLACE_2 + 2];
+    to[K_PLACE_1 + 2] -= turn * rint((scene_of(m, i)[S_HEADER + K_ANGLE] - psi) / turn);
+  }
   if (!all_finite(s->row, CONTACT_SIZE))
     return "its charts have no coordinates there, as at a pole";
   const double stop = c->now->stop_time, horizon = horizon_of(m);

@@ -1,7 +1,7 @@
 /* A contact as a system of equations: everything from its states, by one table of instructions.
 
    point: time, states, disturbances (6); constants: gain, profile, numbers of finger and object;
-   results: the values from `rate` on, then the object's theta. */
+   results: the values from `rate` on. */
 
 static long n_results(const model_t *m, long i) {
   return at_of(m, i, GROUPS) - at_of(m, i, OF_RATES);
@@ -62,12 +62,11 @@ static const double *run_system(component_t *c, long i) {
   return found;
 }
 
-static const double *find_system(component_t *c, long i) {
+static void find_system(component_t *c, long i) {
   double *results = values_of(c, i, OF_RATES);
   const double *found = run_system(c, i);
   memcpy(results, found, (size_t)n_results(c->model, i) * sizeof *found);
   for (long j = 0; j < n_results(c->model, i) && past_end(c); j++) results[j] = NAN;
-  return found;
 }
 
 /* The path turns where a leg begins. What slips goes on slipping, but behind a rest under a law
