@@ -3,6 +3,7 @@
 #include "polynomial.h"
 
 enum { MAX_PROFILE = 64 };
+#define AGES 1e9        /* s, 30 years: what sigma does later is nothing to look for */
 #define LOOK_AHEAD 1.05 /* a solver may look this far beyond sigma's end, within its last step */
 
 /* ---- legs ---- */
@@ -54,23 +55,13 @@ static long signs_of(const leg_t *leg, int order, double from, double to,
   return n;
 }
 
-/* A time from which on a leg's sigma has no zeros (Fujiwara 1916) nor turns, or 30 years */
-static double beyond_zeros(const component_t *c, const leg_t *leg, double from) {
-  const double *p = leg->sigma;
-  long n = leg->n;
-  double most = 0.0;
-  while (n > 1 && p[n - 1] == 0.0) n--;
-  for (long k = 1; k < n; k++) most = fmax(most, pow(fabs(p[n - 1 - k] / p[n - 1]), 1.0 / k));
-  return fmax(from + 1e3 * horizon_of(c->model), leg->start + fmin(2.0 * most, 1e9));
-}
-
 /* Only the last leg's sigma may turn negative. */
 static void study_profiles(component_t *c) {
   c->now->limit = HUGE_VAL;
   for (long i = 0; i < c->model->n_contacts; i++) {
     const leg_t leg = leg_of(c, i, n_legs(c->model, i) - 1);
     const double begin = fmax(c->now->time, leg.start);
-    const double far = beyond_zeros(c, &leg, begin);
+    const double far = begin + AGES;
     double at[2 * MAX_PROFILE];
     const long n = signs_of(&leg, 0, begin, far, at);
     const double middle = 0.5 * (begin + (n ? at[0] : far)) - leg.start;
@@ -131,8 +122,7 @@ static double next_edge(const component_t *c) {
   if (!reached(now->time, now->limit)) next = fmin(next, now->limit);
   for (long i = 0; i < c->model->n_contacts && makes_up(c->model); i++) {
     const leg_t leg = leg_of(c, i, leg_now(c, i));
-    const double far = fmin(now->limit, beyond_zeros(c, &leg, now->time));
-    const long n = signs_of(&leg, 1, now->time, far, turn);
+    const long n = signs_of(&leg, 1, now->time, fmin(now->limit, now->time + AGES), turn);
     for (long k = 0; k < n; k++)
       if (!reached(now->time, turn[k])) next = fmin(next, turn[k]);
   }
