@@ -167,15 +167,7 @@ FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool 
   if (check_step(c, from, size)) return FAILED;
   /* where sigma ends, a step may end early too */
   const int ends = c->early_return && !reached(limit, end) && !reached(c->now->time, limit);
-  const double target = ends ? limit : end;
-  const int crosses = c->uses_events && !c->early_return;
-  if (crosses) keep_state(c);
-  status_t s = OK;
-  do /* across edges where the importer does not let a step end early */
-    s = step(c, target);
-  while (!s && c->now->pending && crosses && !reached(c->now->time, target));
-  if (s && c->now->time > *last_time)
-    go_back(c, c->before); /* else the step has left all as it was */
+  const status_t s = step(c, ends ? limit : end);
   *last_time = c->now->time;
   *terminate = c->now->ended || (ends && !s && reached(c->now->time, limit));
   *event = c->now->pending && !s, *early = !s && !reached(c->now->time, end);

@@ -119,7 +119,7 @@ static double least_span(double t) { return 8 * DBL_EPSILON * fmax(1.0, t); }
 /* A segment's end, at an edge a bit later: values there are those after it. */
 static double end_of(const component_t *c, double begin, double end, double target) {
   end = fmin(fmax(end, target), c->now->limit);
-  const double edge = snapped(c, end, 1);
+  const double edge = snapped(c, end);
   for (long k = 0; k < n_edges(c->model); k++)
     if (edge_of(c, k) == edge)
       return fmin(edge + fmax(0.01 * (edge - begin), least_span(edge)), c->now->limit);

@@ -129,15 +129,21 @@ static double next_edge(const component_t *c) {
   return next;
 }
 
-/* The time, or the first or last edge that it is but for rounding, as 0.3 and 0.1 + 0.2 are one */
-static double snapped(const component_t *c, double time, int last) {
+/* The first or last edge that a time is but for rounding, as 0.3 and 0.1 + 0.2 are one; infinite
+   where it is none */
+static double edge_at(const component_t *c, double time, int last) {
   double found = last ? -HUGE_VAL : HUGE_VAL;
   for (long k = 0; k < n_edges(c->model); k++) {
     const double edge = edge_of(c, k);
     if (reached(time, edge) && reached(edge, time))
       found = last ? fmax(found, edge) : fmin(found, edge);
   }
-  return fabs(found) < HUGE_VAL ? found : time;
+  return found;
+}
+
+static double snapped(const component_t *c, double time) {
+  const double edge = edge_at(c, time, 1);
+  return fabs(edge) < HUGE_VAL ? edge : time;
 }
 
 /* Whether a window acts on contact i at the time that values are of */

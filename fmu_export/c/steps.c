@@ -82,7 +82,7 @@ static status_t start(component_t *c) {
 
 /* ---- steps ---- */
 
-/* All contacts to a time, or to an edge on the way where the importer handles events; or none. */
+/* All contacts to a time, or to an edge on the way where the importer wants that; or none. */
 static status_t step(component_t *c, double target) {
   memory_t *now = c->now;
   const long n = c->model->n_contacts;
@@ -97,12 +97,13 @@ static status_t step(component_t *c, double target) {
     if (pushed_at_rest(c, i)) return report(c, DISCARD, "no step to t = %.9g s: " AT_REST, target);
   const status_t s = settle(c, "step", target);
   if (s) return s;
-  const double window = next_edge(c);
-  const int edge = c->uses_events && reached(target, window);
-  const double goal = edge ? window : fmin(target, now->limit);
+  const double next = next_edge(c);
+  const int early = c->uses_events && c->early_return && reached(target, next);
+  const double goal = early ? next : fmin(target, now->limit), edge = edge_at(c, goal, 0);
   for (long i = 0; i < n; i++)
     if (cover(c, i, goal)) return refuse_motion(c, DISCARD, i, "step", target, NULL);
   set_time(c, goal);
-  if (edge) now->pending = 1, now->acts_at = nextafter(snapped(c, goal, 0), -HUGE_VAL);
+  if (c->uses_events && reached(goal, next) && edge < HUGE_VAL)
+    now->pending = 1, now->acts_at = nextafter(edge, -HUGE_VAL);
   return OK;
 }

@@ -82,7 +82,7 @@ static void turn_path(component_t *c, long i, const leg_t *leg) {
 static void enter_windows(component_t *c) {
   memory_t *now = c->now;
   const double before = now->acts_at;
-  now->acts_at = snapped(c, now->time, 1);
+  now->acts_at = snapped(c, now->time);
   forget_values(c);
   now->pending = 0;
   if (!now->stepping) now->ended = reached(now->time, now->limit);
