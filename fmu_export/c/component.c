@@ -37,7 +37,7 @@ static void drop_plan(component_t *c, long i) {
 static void free_component(component_t *c) {
   if (!c) return;
   for (long i = 0; c->live && i < c->model->n_contacts; i++) drop_plan(c, i);
-  free(c->own), free(c->before), free(c->live), free(c->buffer);
+  free(c->own), free(c->live), free(c->buffer);
   free(c->grows), free(c->tangents), free(c->registers), free(c->along);
   free_model(c->model);
   free(c);
@@ -66,7 +66,7 @@ static const char *make_component(component_t *c, const char *resources) {
   const model_t *m = c->model;
   const size_t registers = (size_t)m->data[D_REGISTERS];
   c->engine = contact_engine();
-  c->own = new_saved(m), c->before = new_saved(m),
+  c->own = new_saved(m);
   c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
   /* legs, windows and numbers take no more room in the engine's scene than in the model's data */
   c->buffer = malloc((size_t)(m->data[D_SIZE] + S_HEADER + CONTACT_SIZE + 3 * WINDOW_SIZE + 2) *
@@ -75,19 +75,11 @@ static const char *make_component(component_t *c, const char *resources) {
   c->tangents = malloc(registers * sizeof *c->tangents);
   c->registers = malloc(registers * sizeof *c->registers);
   c->along = malloc(registers * sizeof *c->along);
-  if (!c->own || !c->before || !c->live || !c->buffer || !c->grows || !c->tangents ||
-      !c->registers || !c->along)
+  if (!c->own || !c->live || !c->buffer || !c->grows || !c->tangents || !c->registers || !c->along)
     return "no memory";
   c->now = &c->own->memory;
   c->value = (double *)(c->now + 1), c->segment = (segment_t *)(c->value + m->n_values);
   return NULL;
-}
-
-static void keep_state(component_t *c) { memcpy(c->before, c->own, c->own->length); }
-
-static void go_back(component_t *c, const saved_t *to) {
-  memcpy(c->own, to, c->own->length);
-  forget(c);
 }
 
 #include "plans.c"

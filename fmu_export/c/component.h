@@ -68,10 +68,10 @@ typedef struct {
 typedef struct {
   model_t *model;
   const engine_t *engine;
-  saved_t *own, *before; /* the state, and one to go back to */
-  memory_t *now;         /* in *own */
-  double *value;         /* in *now */
-  segment_t *segment;    /* in *now */
+  saved_t *own;       /* the state */
+  memory_t *now;      /* in *own */
+  double *value;      /* in *now */
+  segment_t *segment; /* in *now */
   live_t *live;
   double *buffer;        /* a contact's scene for the engine */
   double (*grows)[L];    /* derivatives of all values */

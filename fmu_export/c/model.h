@@ -104,7 +104,7 @@ enum { T_NUMBERS, T_PROLOGUE = 7, T_BODY, T_LITERALS, T_SIZE };
 
 enum { TIME_VALUE, GAIN, PROFILE };                                       /* references */
 enum { CALCULATED, INDEPENDENT, CONSTANT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */
-enum { DISTURBANCES = 6 };
+enum { DISTURBANCES = 6, MOST_STATES = 6 + 6 + 4 }; /* of a contact: two frames, W_1 and V */
 
 typedef struct {
   double *data;

@@ -1,12 +1,15 @@
 /* Starting, and stepping. */
 
-/* Where contact i starts, from its states. Returns what is wrong, or NULL. */
+/* Where contact i starts, from its states, which stay as they were set. Returns what is wrong, or
+   NULL. */
 static const char *place_contact(component_t *c, long i) {
   const model_t *m = c->model;
   segment_t *s = c->segment + i;
-  double *x = values_of(c, i, OF_STATES), *to = s->row;
+  double states[MOST_STATES], *x = states, *to = s->row;
+  memcpy(x, values_of(c, i, OF_STATES), (size_t)states_of(m, i) * sizeof *x);
   const char *wrong = put_frames(c, i, x, NULL);
   if (wrong) return wrong;
+  drop_plan(c, i);
   memset(s, 0, sizeof *s);
   s->begin = c->now->time, s->gain = c->value[GAIN];
   if (leaves_slip_behind(c, i)) no_slip(m, i, x);
@@ -42,7 +45,8 @@ static void warm(component_t *c, long i) {
   }
 }
 
-static status_t try_start(component_t *c) {
+/* Starts, or leaves all as it was set. */
+static status_t start(component_t *c) {
   memory_t *now = c->now;
   const model_t *m = c->model;
   const double *order = section(m, D_ORDERS);
@@ -65,19 +69,14 @@ static status_t try_start(component_t *c) {
           i + 1, wrong);
     if (now->stepping && cover(c, i, now->time))
       return refuse_motion(c, FAILED, i, "motion", now->time, NULL);
+  }
+  for (long i = 0; i < m->n_contacts; i++) {
+    put_states(m, i, c->segment[i].row, values_of(c, i, OF_STATES));
     if (now->stepping) warm(c, i);
   }
   now->settled = 0; /* inputs act from here on */
   forget_values(c);
   return OK;
-}
-
-/* Starts, or leaves all as it was set. */
-static status_t start(component_t *c) {
-  keep_state(c);
-  const status_t s = try_start(c);
-  if (s) go_back(c, c->before);
-  return s;
 }
 
 /* ---- steps ---- */

@@ -25,7 +25,7 @@ static double *load_system(component_t *c, long i, double (*grows)[L]) {
   const table_t *t = system_of(m, i);
   const leg_t leg = leg_of(c, i, leg_now(c, i));
   const double *column = m->data + (long)contact_of(m, i)[P_COLUMNS] + t->n_in;
-  double x[6 + 6 + 4]; /* two frames, W_1 and V at most */
+  double x[MOST_STATES];
   memcpy(x, values_of(c, i, OF_STATES), (size_t)n * sizeof *x);
   if (c->now->phase == INITIALIZATION) put_frames(c, i, x, grows);
   for (long j = 0, own = 0; j < t->n_const; j++)
