@@ -33,7 +33,7 @@ enum { U1, V1, DU1, DV1, U2, V2, DU2, DV2, PSI, N_STATES };
 
 /* How a contact's motion began, and what acts on it besides windows: it is planned from that. */
 typedef struct {
-  double begin, end; /* s; planned so far; negative: how far it is to be planned */
+  double begin, end; /* s; planned so far, or to be planned */
   double gain, acting[DISTURBANCES];
   double trigger;           /* that has last been heard */
   double row[CONTACT_SIZE]; /* of the engine: K_MOMENT, and K_PLACE_1 and on */

@@ -117,6 +117,7 @@ static status_t settle(component_t *c, const char *what, double target) {
     s->trigger = heard;
     if (!again && s->gain == c->value[GAIN] && !memcmp(s->acting, acting, sizeof acting)) continue;
     const double at = now->acts_at, lasted = at - s->begin;
+    double end = s->end;
     if (again || !reached(s->begin, at)) {
       if (again) {
         const char *wrong;
@@ -126,9 +127,9 @@ static status_t settle(component_t *c, const char *what, double target) {
       } else if (cover(c, i, at) || go_on(c, c->live[i].plan, time_on(c, i), s)) {
         return refuse_motion(c, DISCARD, i, what, target, NULL);
       }
-      s->end = at + lasted; /* where events follow each other closely, it is no use to plan far */
+      end = at + lasted; /* where events follow each other closely, it is no use to plan far */
     }
-    s->end = -fabs(s->end);
+    s->end = end_of(c, s->begin, end, target);
     s->gain = c->value[GAIN];
     memcpy(s->acting, acting, sizeof acting);
     drop_plan(c, i);

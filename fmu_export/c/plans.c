@@ -118,12 +118,10 @@ static double least_span(double t) { return 8 * DBL_EPSILON * fmax(1.0, t); }
 
 /* A segment's end, at an edge a bit later: values there are those after it. */
 static double end_of(const component_t *c, double begin, double end, double target) {
-  end = fmin(fmax(end, target), c->now->limit);
-  const double edge = snapped(c, end);
-  for (long k = 0; k < n_edges(c->model); k++)
-    if (edge_of(c, k) == edge)
-      return fmin(edge + fmax(0.01 * (edge - begin), least_span(edge)), c->now->limit);
-  return end;
+  end = fmin(fmax(fmax(end, target), begin + least_span(begin)), c->now->limit);
+  const double edge = edge_at(c, end, 1);
+  if (fabs(edge) < HUGE_VAL) end = edge + fmax(0.01 * (edge - begin), least_span(edge));
+  return fmin(end, c->now->limit);
 }
 
 /* Plans a segment to its end; to the target at least, where something stands in the way behind. */
@@ -134,7 +132,7 @@ static plan_t *plan_ahead(component_t *c, long i, segment_t *s, double target) {
     s->end = end_of(c, s->begin, k ? target : fmin(end, target + 0.125 * (end - target)), target);
     if (s->end < end && s->end > s->begin) found = plan_of(c, i, s);
   }
-  if (!found) s->end = -end;
+  if (!found) s->end = end;
   return found;
 }
 
@@ -143,12 +141,8 @@ static plan_t *plan_ahead(component_t *c, long i, segment_t *s, double target) {
 static int cover(component_t *c, long i, double target) {
   live_t *k = c->live + i;
   segment_t *s = c->segment + i, next;
-  const double least = s->begin + least_span(s->begin);
-  if (!k->plan) {
-    if (!(s->end > s->begin)) s->end = end_of(c, s->begin, fmax(-s->end, least), target);
-    k->plan = plan_ahead(c, i, s, fmax(target, least)), k->anchored = 0;
-    if (!k->plan) return 1;
-  }
+  if (!k->plan) k->plan = plan_ahead(c, i, s, fmax(target, s->begin));
+  if (!k->plan) return 1;
   if (reached(s->end, target)) return 0;
   next = *s;
   if (go_on(c, k->plan, time_on(c, i), &next)) return 1;

@@ -30,7 +30,8 @@ static const char *place_contact(component_t *c, long i) {
   if (!all_finite(s->row, CONTACT_SIZE))
     return "its charts have no coordinates there, as at a pole";
   const double stop = c->now->stop_time, horizon = horizon_of(m);
-  s->end = -(stop < HUGE_VAL ? stop : s->begin < horizon ? horizon : s->begin + horizon);
+  const double far = stop < HUGE_VAL ? stop : s->begin < horizon ? horizon : s->begin + horizon;
+  s->end = end_of(c, s->begin, far, s->begin);
   return NULL;
 }
 
