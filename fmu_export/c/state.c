@@ -1,7 +1,7 @@
 /* FMU states: what an importer holds, which is also the bytes that it may keep. */
 
 #define SAVED_MARK 0x53544341544e4f43ULL /* CONTACTS; importers take 0 for no state */
-#define STATE_VERSION 11ULL
+#define STATE_VERSION 12ULL
 
 static size_t memory_size(const model_t *m) {
   return sizeof(memory_t) + (size_t)m->n_values * sizeof(double) +
