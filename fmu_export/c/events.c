@@ -2,8 +2,9 @@
 
 /* Whether an input accelerates a path that rests; it has no rates, and can be looked at without. */
 static int pushed_at_rest(const component_t *c, long i) {
+  const double *input = values_of(c, i, OF_INPUTS);
   for (int j = 0; j < 4; j++)
-    if (values_of(c, i, OF_INPUTS)[j] != 0.0) return rests(c, i);
+    if (input[j] != 0.0) return rests(c, i);
   return 0;
 }
 

@@ -23,9 +23,9 @@ static const char *place_contact(component_t *c, long i) {
       memcpy(place, x, 3 * sizeof *x);
   }
   memcpy(to + K_W1, x, 4 * sizeof *x);
-  if (frame_of(m, i, 0) == 6) { /* psi is found but for whole turns */
+  if (frame_of(m, i, 0) == 6) { /* psi is found but for whole turns; the lower of two as near */
     const double turn = 6.283185307179586, psi = -to[K_PLACE_1 + 2] - to[K_PLACE_2 + 2];
-    to[K_PLACE_1 + 2] -= turn * rint((scene_of(m, i)[S_HEADER + K_ANGLE] - psi) / turn);
+    to[K_PLACE_1 + 2] -= turn * ceil((scene_of(m, i)[S_HEADER + K_ANGLE] - psi) / turn - 0.5);
   }
   if (!all_finite(s->row, CONTACT_SIZE))
     return "its charts have no coordinates there, as at a pole";
@@ -99,11 +99,12 @@ static status_t step(component_t *c, double target) {
   if (s) return s;
   const double next = next_edge(c);
   const int early = c->uses_events && c->early_return && reached(target, next);
-  const double goal = early ? next : fmin(target, now->limit), edge = edge_at(c, goal, 0);
+  const double goal = early ? next : fmin(target, now->limit);
   for (long i = 0; i < n; i++)
     if (cover(c, i, goal)) return refuse_motion(c, DISCARD, i, "step", target, NULL);
   set_time(c, goal);
-  if (c->uses_events && reached(goal, next) && edge < HUGE_VAL)
-    now->pending = 1, now->acts_at = nextafter(edge, -HUGE_VAL);
+  if (!c->uses_events || !reached(goal, next)) return OK;
+  const double edge = edge_at(c, goal, 0);
+  if (edge < HUGE_VAL) now->pending = 1, now->acts_at = nextafter(edge, -HUGE_VAL);
   return OK;
 }
