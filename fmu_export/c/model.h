@@ -20,7 +20,7 @@
 
 #define DATA_VERSION 20261201.0
 enum {
-  D_VERSION,  /* the day of its last change, by which data is known at all */
+  D_VERSION,  /* raised with each change; data is known by it */
   D_SIZE,     /* doubles in all */
   D_CHECKSUM, /* of what follows the header, 32 bits */
   D_CONTACTS,
