@@ -264,6 +264,12 @@ def test_model_exchange_ends_where_sigma_does(version):
     one.refused(words, one.directional, [rate], ["gain.eta"], [1.0])
 
 
+@of_blocks
+def test_steps_end_where_a_profile_of_high_degree_turns_negative(kind, version):
+    one = Instance(one_contact(profile=(0.1, *[0.0] * 38, -1e-30)), kind, version).begin()
+    one.refused("sigma is negative from t = 5.54", one.step, 6.0)
+
+
 @of_versions
 def test_model_exchange_has_no_values_at_a_pole_of_a_users_chart(version):
     scene = one_contact(BALL, object_at=(0.3, 0.5), duration=0.2)

@@ -1,6 +1,7 @@
 /* Polynomials by their coefficients, lowest power first. */
 #ifndef CONTACT_POLYNOMIAL
 #define CONTACT_POLYNOMIAL
+#include <float.h>
 #include <math.h>
 #include <stdint.h>
 
@@ -14,7 +15,8 @@ static inline double horner(const double *c, int64_t n, double x) {
 static inline double clear_value(const double *c, int64_t n, double x, double value) {
   double size = 0.0;
   for (int64_t k = n - 1; k >= 0; k--) size = size * fabs(x) + fabs(c[k]);
-  return x == 0 || fabs(value) > 4e-16 * (double)n * size ? value : 0.0;
+  /* far away both may be infinite, and the sign is right */
+  return x == 0 || fabs(value) > 4e-16 * (double)n * fmin(size, DBL_MAX) ? value : 0.0;
 }
 
 /* the root of d between a and b, where it has this sign and another one */
