@@ -92,7 +92,7 @@ def test_restart_refuses_what_it_cannot_start_from():
         (0.4, [[10**400] * 9], r"give numbers, shape \(1, 9\)"),
         *((0.4, x, "restart") for x in (state + 1e-3j, state.astype(str), state > 0, [[None] * 9])),
         *((t, state, "give a time in seconds|horizon") for t in ([0.4], True, "0.4", None, 2.0)),
-        (0.5, state, "sigma = 0 there.*restart where sigma > 0"),
+        (0.5, state, "contact 0: sigma = 0 there.*restart where sigma > 0"),
         (1.0, state, "restart at t = 1 s"),
     ):
         with pytest.raises(cs.ContactSystemError, match=words):

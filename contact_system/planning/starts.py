@@ -55,12 +55,12 @@ def measured_start(
     SceneError
         NaN, sigma = 0, a pole, or coordinates outside the chart.
     """
-    where = f"{scene.title}, restart at t = {t:g} s"
+    where = f"{scene.title}, restart at t = {t:g} s, contact {index}"
     sigma = float(speed(scene.way(index), np.array(t)))
     if not np.isfinite(row).all():
         raise SceneError(
-            f"{where}, contact {index}: the measured state has {row[~np.isfinite(row)][0]}; leave "
-            "such a measurement out"
+            f"{where}: the measured state has {row[~np.isfinite(row)][0]}; leave such a "
+            "measurement out"
         )
     if not 0 < sigma < math.inf:
         raise SceneError(
@@ -73,7 +73,7 @@ def measured_start(
         ("finger", scene.contacts[index].finger, row[:4]),
         ("object", scene.object, moved),
     ):
-        require_place(surface, u, v, f"{where}, contact {index}, {side}")
+        require_place(surface, u, v, f"{where}, {side}")
         velocities.append(tuple(surface.metric_root(u, v) @ rates / sigma))
     return Start(tuple(row[0:2]), tuple(row[4:6]), float(row[8]), velocities[0], velocities[1])
 
