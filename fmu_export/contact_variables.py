@@ -19,7 +19,6 @@ SMALL = 0.1
 """Nominal value of angles and path velocities: solvers take their absolute tolerances from it."""
 XY, XYZ = (".x", ".y"), (".x", ".y", ".z")
 CELLS = tuple(f"[{a},{b}]" for a in (1, 2, 3) for b in (1, 2, 3))
-SPEED = (1, -1, 0)
 
 INPUT_GROUPS, STATE_GROUP, DERIVATIVES = 2, 2, 3
 """Of the groups of a contact's numbers: how many are inputs; which are states, derivatives."""
@@ -79,10 +78,11 @@ class _Contact:
 
     def inputs(self) -> list[Variable]:
         found = []
-        for side, surface, quantity, power, to in (
-            ("finger", self.contact.finger, "acceleration", 2, "second derivative"),
-            ("object", self.scene.object, "acceleration", 2, "second derivative"),
-            ("object", self.scene.object, "rate_offset", 1, "rate, not to the feedback,"),
+        finger, body = self.bodies
+        for (side, surface), quantity, power, to in (
+            (finger, "acceleration", 2, "second derivative"),
+            (body, "acceleration", 2, "second derivative"),
+            (body, "rate_offset", 1, "rate, not to the feedback,"),
         ):
             for axis, unit in zip("uv", chart_units(surface)):
                 text = f"Added to the {to} of {axis} of the {side}"
@@ -132,9 +132,8 @@ class _Contact:
             stem, carried = f"{side}.frame", f"frame carried along on the {side}"
             if size == 3:
                 own = self.places(stem, surface, carried)
-                own += self.rows(
-                    f"{stem}.angle", (), RADIAN, f"Angle in the chart of the {carried}"
-                )
+                text = f"Angle in the chart of the {carried}"
+                own += self.rows(f"{stem}.angle", (), RADIAN, text)
             else:
                 own = self.rows(f"{stem}.point", XYZ, METRE, f"Origin of the {carried}")
                 own += self.rows(f"{stem}.axis", XYZ, NONE, f"First axis of the {carried}")
@@ -159,35 +158,32 @@ class _Contact:
 
     def motion(self) -> tuple[list[Variable], list[Variable]]:
         """Twist and pose of the finger relative to the object."""
-        there, origin = "in the object's frame", "of the finger's frame in the object's frame"
-        size = max(self.contact.finger.size, self.scene.object.size)
-        turning, moving = (
-            f"Angular velocity of the finger {there}",
-            f"Velocity of the origin {origin}",
+        there, origin = "in the object's frame", "rigin of the finger's frame in the object's frame"
+        turning, matrix = (
+            "Angular velocity of the finger",
+            "Rotation matrix from the finger's frame",
         )
-        matrix = "Rotation matrix from the finger's frame to the object's"
-        return [
-            *self.rows("twist.angular", XYZ, (0, -1, 1), turning),
-            *self.rows("twist.linear", XYZ, SPEED, moving, nominal=self.speed),
-        ], [
-            *self.rows("pose.rotation", CELLS, NONE, matrix),
-            *self.rows("pose.position", XYZ, METRE, f"Origin {origin}", nominal=size),
-        ]
+        size = max(surface.size for _, surface in self.bodies)
+        twist = self.rows("twist.angular", XYZ, (0, -1, 1), f"{turning} {there}")
+        twist += self.speeds("twist.linear", XYZ, f"Velocity of the o{origin}")
+        pose = self.rows("pose.rotation", CELLS, NONE, f"{matrix} to the object's")
+        pose += self.rows("pose.position", XYZ, METRE, f"O{origin}", nominal=size)
+        return twist, pose
+
+    def speeds(self, name: str, axes: tuple[str, ...], text: str) -> list[Variable]:
+        return self.rows(name, axes, (1, -1, 0), text, nominal=self.speed)
 
     def outputs(self) -> list[list[Variable]]:
         """Groups of results: slip, twist, pose, points, condition."""
-        recovery = "Time in which slip falls to a hundredth at its present rate; at most 1e6 s"
-        path = "sigma, the speed of the contact along its path"
-        active, length = "1 while an input or a window acts, else 0", "Length of the slip"
         points: list[Variable] = []
-        for n, s in self.bodies:
-            text = f"Contact point in the {n}'s frame"
-            points += self.rows(f"{n}.point", XYZ, METRE, text, nominal=s.size)
+        for name, surface in self.bodies:
+            text = f"Contact point in the {name}'s frame"
+            points += self.rows(f"{name}.point", XYZ, METRE, text, nominal=surface.size)
+        recovery = "Time in which slip falls to a hundredth at its present rate; at most 1e6 s"
         condition = [
-            *self.rows("path.speed", (), SPEED, path, nominal=self.speed),
-            *self.rows("slip_speed", (), SPEED, length, nominal=self.speed),
-            *self.rows("disturbance.active", (), NONE, active),
+            *self.speeds("path.speed", (), "sigma, the speed of the contact along its path"),
+            *self.speeds("slip_speed", (), "Length of the slip"),
+            *self.rows("disturbance.active", (), NONE, "1 while an input or a window acts, else 0"),
             *self.rows("recovery_time", (), SECOND, recovery),
         ]
-        slip = self.rows("slip", XY, SPEED, "Slip v_rel in E2", nominal=self.speed)
-        return [slip, *self.motion(), points, condition]
+        return [self.speeds("slip", XY, "Slip v_rel in E2"), *self.motion(), points, condition]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import struct
 import zlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from contact_system import __version__
 from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor
 from contact_system.engine.binding import SURFACES, TableData
 from contact_system.planning.motion import Buffer
@@ -16,7 +19,7 @@ from contact_system.surfaces import Ellipsoid, Surface, Torus
 from .model import TOLERANCE, equations, frame_sizes, measured
 from .variables import Table
 
-VERSION, HEADER = 20261201.0, 27
+VERSION, HEADER = 20261202.0, 18
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
 
 
@@ -27,7 +30,6 @@ class _Data:
     def __init__(self) -> None:
         self.parts: list[bytes] = []
         self.size = HEADER
-        self.surfaces: dict[Surface, int] = {}
         self.tables: dict[Any, int] = {}
 
     def put(self, data: bytes) -> int:
@@ -40,6 +42,10 @@ class _Data:
     def numbers(self, values: Any) -> int:
         """Add numbers; returns their place."""
         return self.put(np.asarray(values, dtype="<f8").tobytes())
+
+    def rows(self, rows: Sequence[Sequence[float]]) -> int:
+        """Add rows of numbers behind how many they are; returns the place of the first one."""
+        return self.numbers([len(rows), *(x for row in rows for x in row)]) + 1
 
     def texts(self, *values: str) -> int:
         """Add texts; returns their place."""
@@ -55,10 +61,11 @@ class _Data:
         return [*t.sizes, *code, self.numbers(t.literals)]
 
 
-def scene_data(table: Table, token: str) -> bytes:
-    """The bytes of scene.bin; token: instantiation token (FMI 3) or GUID (FMI 2)."""
+def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
+    """The bytes of scene.bin, and the instantiation token (FMI 3) or GUID (FMI 2) inside them, by
+    which it knows its description; described: how, besides."""
     scene, rows, data = table.scene, table.rows, _Data()
-    contacts = [x for i in range(len(scene.contacts)) for x in _contact(table, i, data)]
+    contacts = [_contact(table, i, data) for i in range(len(scene.contacts))]
     orders = _orders(scene.object, table.first["object"])
     corners: set[float] = set()
     for i, contact in enumerate(scene.contacts):
@@ -66,36 +73,40 @@ def scene_data(table: Table, token: str) -> bytes:
         corners |= {stretch.start for stretch in scene.way(i)[1:]}
     sensed = ContactSensor(scene) if table.measured == "pose" else None
     limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else 4 * (0.0,)
-    bounds = [*(group[0] for group in table.groups), len(rows)]
-    least = [-np.inf if v.minimum is None else v.minimum for v in rows]
-    nominals = [rows[r].nominal for r in table.states]
-    owners = np.repeat([-1, *range(len(table.groups))], np.diff([0, *bounds]))
-    shown = table.joined if table.arrays else rows
-    sizes = [size for v in shown for size in (v.size, *[0] * (v.size - 1))]
+    starts = [group[0] for group in table.groups]
+    owners = np.repeat([-1, *range(len(starts))], np.diff([0, *starts, len(rows)]))
+    sizes = {v.reference: v.size for v in (table.joined if table.arrays else rows)}
+    values = [
+        (owner, KINDS.index(v.kind), sizes.get(r, 0), -np.inf if v.minimum is None else v.minimum)
+        for r, (owner, v) in enumerate(zip(owners, rows))
+    ]
     windows = [
-        (d.contact, d.slot, table.first["windows"] + 4 * k)
+        (int(d.contact), d.slot, table.first["windows"] + 4 * k)
         for k, d in enumerate(scene.disturbances)
     ]
-    orders += [at + k for *_, at in windows for k in (1, 0)]  # stop, start
-    tables = [*data.tables, *(t for s in data.surfaces for t in s.tables.ambient if t is not None)]
+    orders += [(at + 1, at) for *_, at in windows]  # stop, start
+    engine = Buffer(scene.replace(disturbances=()), TOLERANCE, 0.0, None)
+    numbers = np.frombuffer(engine.numbers)
+    tables = [
+        *data.tables,
+        *(t for s in engine.surfaces for t in s.tables.ambient if t is not None),
+    ]
     registers = max(TableData.from_address(t.address).n_regs for t in tables)
-    bodies = [x for surface in data.surfaces for x in _surface(surface, data)]
-    head = struct.pack(
-        f"<{HEADER - 3}d",
-        *(len(table.groups), len(rows), table.first["scale"]),
-        *(data.texts(token), data.texts(*(v.name for v in rows)), data.numbers(owners)),
-        data.numbers([KINDS.index(v.kind) for v in rows]),
-        *(data.numbers(sizes), data.numbers(table.start_values), data.numbers(least)),
-        *(data.numbers(nominals), data.numbers(contacts)),
-        *(data.numbers(bodies), len(data.surfaces)),
-        *(data.numbers([x for t in data.tables for x in data.instructions(t)]), len(data.tables)),
-        registers,
-        *(data.numbers(np.ravel(windows)), len(windows)),
-        *(data.numbers(sorted(corners)), len(corners), data.numbers(limits)),
-        *(data.numbers(orders), len(orders) // 2),
+    surfaces = [_surface(surface, data) for surface in engine.surfaces]
+    head: tuple[float, ...] = (
+        *(table.first["scale"], registers, data.texts(*(v.name for v in rows))),
+        *(data.numbers(table.start_values), data.numbers([rows[r].nominal for r in table.states])),
+        *(data.numbers(limits), data.numbers([len(numbers), *numbers]) + 1, data.rows(values)),
+        *(data.rows(contacts), data.rows(surfaces)),
+        data.rows([data.instructions(t) for t in data.tables]),
+        *(data.rows(windows), data.rows([(t,) for t in sorted(corners)]), data.rows(orders)),
     )
+    known = repr((__version__, *described)).encode(), np.array(head).tobytes(), *data.parts
+    token = "{" + hashlib.sha256(b"".join(known)).hexdigest()[:32] + "}"
+    head += (data.texts(token),)
     body = b"".join(data.parts)
-    return struct.pack("<3d", VERSION, data.size, zlib.adler32(body)) + head + body
+    begin = struct.pack(f"<{HEADER}d", VERSION, data.size, zlib.adler32(body), *head)
+    return begin + body, token
 
 
 def _contact(table: Table, i: int, data: _Data) -> list[float]:
@@ -105,23 +116,20 @@ def _contact(table: Table, i: int, data: _Data) -> list[float]:
     own, _ = equations(*table.structure(i))
     sensor = own if table.measured == "nothing" else measured(*pair, table.measured)
     unknowns = [3 if s.has_implicit else 2 for s in pair] if table.measured == "pose" else [0, 0]
-    engine = Buffer(scene.replace(contacts=[contact], disturbances=()), TOLERANCE, 0.0, None)
     return [
-        *(data.put(engine.numbers), len(engine.numbers) // 8, bool(contact.legs)),
-        *(data.surfaces.setdefault(surface, len(data.surfaces)) for surface in pair),
-        *(table.first[f"finger {i}"], table.first["object"], *table.groups[i]),
+        *(bool(contact.legs), table.first[f"finger {i}"], table.first["object"], *table.groups[i]),
         *(data.numbers(table.columns(i)), data.table(own), *frame_sizes(*pair)),
         *(data.table(sensor), *unknowns),
     ]
 
 
-def _orders(surface: Surface, at: int) -> list[int]:
+def _orders(surface: Surface, at: int) -> list[tuple[int, int]]:
     """Pairs of references of parameters that keep the surface of its kind: the first must stay
     greater than the second."""
     count, numbers = range(len(surface.parameters)), surface.parameters
     if not isinstance(surface, (Ellipsoid, Torus)):
         return []
-    return [at + k for i in count for j in count if numbers[i] > numbers[j] for k in (i, j)]
+    return [(at + i, at + j) for i in count for j in count if numbers[i] > numbers[j]]
 
 
 def _surface(surface: Surface, data: _Data) -> list[float]:

@@ -74,9 +74,9 @@ def export_fmu(
     of_kind((Callable, type(None)), progress, "progress", "a function of a text, or None")
     tell = progress or (lambda step: None)
     table = variable_table(scene, flag(arrays, "arrays"), measured)
-    text = description.model_description(table, fmi_version, interfaces)
+    data, token = scene_data(table, fmi_version, *interfaces)
+    text = description.model_description(table, token, fmi_version, interfaces)
     name = description.model_identifier(scene)
-    data = scene_data(table, description.instantiation_token(text))
     # FMI's own headers are the importer's, which may give functions a prefix (FMI 3.0.2, 2.2.2).
     sources = build.c_sources(data, name, fmi_version)
     files = {f"sources/{file}": source.encode() for file, source in sources.items()}

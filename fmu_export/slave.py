@@ -30,7 +30,7 @@ from contact_system.scene import Scene, require_scene
 
 from .build import library_place
 from .data import scene_data
-from .description import check_choice, instantiation_token, model_description, model_identifier
+from .description import check_choice, model_description, model_identifier
 from .variables import variable_table
 
 Logger = Callable[[int, str, str], None]
@@ -82,11 +82,11 @@ class _Slave:
         folder = Path(tempfile.mkdtemp(prefix="contact-system-"))
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         identifier, table = model_identifier(scene), variable_table(scene, **described)
-        text = model_description(table, self._version, ("CoSimulation",))
-        token = instantiation_token(text)
+        data, token = scene_data(table)
+        text = model_description(table, token, self._version, ("CoSimulation",))
         (folder / "modelDescription.xml").write_text(text, "utf-8")
         (folder / "resources").mkdir()
-        (folder / "resources" / "scene.bin").write_bytes(scene_data(table, token))
+        (folder / "resources" / "scene.bin").write_bytes(data)
         library = folder / library_place(identifier, "native", self._version)
         library.parent.mkdir(parents=True)  # where fmpy looks for it
         try:

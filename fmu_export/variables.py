@@ -83,7 +83,8 @@ class Table:
     def structure(self, i: int) -> tuple[Surface, Surface, str, int]:
         """What `model.equations` of a contact are made for."""
         scene, contact = self.scene, self.scene.contacts[i]
-        return contact.finger, scene.object, scene.gain.law, _most_coefficients(scene, i)
+        most = max(len(stretch.profile.coefficients) for stretch in scene.way(i))
+        return contact.finger, scene.object, scene.gain.law, most
 
     def columns(self, i: int) -> list[int]:
         """References of the point and constants of those equations; -1 for profiles of legs."""
@@ -122,15 +123,17 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
     Raises
     ------
     SceneError
-        A scene that no importer can step: names of a user's parameters that outputs have as well; a
-        profile of too many coefficients; measurements where a surface has no chart.
+        A scene that no importer can step: names of a user's parameters that outputs have as well;
+        measurements where a surface has no chart.
     """
     require_scene(scene)
     one_of(measured, MEASUREMENTS, "measured")
-    bodies = {"object": scene.object} | {
-        f"finger {i}": c.finger for i, c in enumerate(scene.contacts)
-    }
-    _refuse(scene, bodies.values(), measured)
+    unmeasured = [s for s in scene.surfaces if measured != "nothing" and not s.has_chart]
+    if unmeasured:
+        raise SceneError(
+            f"{scene.title}: {unmeasured[0]!r} has no explicit chart f(u, v), in which states "
+            "could be measured; leave measured out, or give a ParametricSurface"
+        )
     rows = [Variable("time", "Simulation time", SECOND, "independent", initial=None)]
 
     def add(more: Iterable[Variable]) -> int:
@@ -141,12 +144,7 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
             rows.append(v)
         return at
 
-    law, *surfaces = _parameters(scene)
-    first = {"gain": add(law[:1]), "profile": add(law[1:])}
-    text = "Factor of the scene's own disturbances; 0 leaves them out"
-    first["scale"] = add([_parameter("disturbances.scale", 1.0, NONE, text)])
-    first |= {key: add(own) for key, own in zip(bodies, surfaces)}
-    first["windows"] = add(_window_rows(scene))
+    first = {key: add(own) for key, own in _parameters(scene).items()}
     system, groups = SceneSystem(scene, "frame", True), []
     speed = scene.speeds(np.linspace(0.0, scene.duration, 33)).max() or None
     for i, own in enumerate(system.state_slices):
@@ -157,30 +155,6 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
         _tell_dependencies(table, i)
     _require_names(table)
     return table
-
-
-def _refuse(scene: Scene, surfaces: Iterable[Surface], measured: str) -> None:
-    """Raise what `variable_table` says of scenes that there is no table for."""
-    for surface in surfaces:
-        if measured != "nothing" and not surface.has_chart:
-            raise SceneError(
-                f"{scene.title}: {surface!r} has no explicit chart f(u, v), in which states could "
-                "be measured; leave measured out, or give a ParametricSurface"
-            )
-    most = max(_most_coefficients(scene, i) for i in range(len(scene.contacts)))
-    if most > MOST_COEFFICIENTS:
-        raise SceneError(
-            f"{scene.title}: a profile has {most} coefficients, and an FMU holds "
-            f"{MOST_COEFFICIENTS}; give a profile of a lower degree"
-        )
-
-
-MOST_COEFFICIENTS = 48
-
-
-def _most_coefficients(scene: Scene, i: int) -> int:
-    """Of the profiles of contact i's legs, or the scene's."""
-    return max(len(stretch.profile.coefficients) for stretch in scene.way(i))
 
 
 # --- parameters ----------------------------------------------------------------------------------
@@ -202,31 +176,40 @@ def _parameter(name: str, value: float, unit: Unit | None, text: str, **more: An
     return Variable(name, text, unit, start=(float(value),), **kind)
 
 
-def _parameters(scene: Scene) -> Iterator[list[Variable]]:
-    """Gain and profile; then the numbers of the object, and of each finger."""
+def _parameters(scene: Scene) -> dict[str, Iterable[Variable]]:
+    """In the order of their references, by the keys of `Table.first`."""
     name, text = f"gain.{scene.gain.parameter}", f"Gain of the law '{scene.gain.law}'"
     tunable = {"variability": "tunable", "minimum": 0.0}
-    rows = [_parameter(name, scene.gain.value, (*scene.gain.row.dimension, 0), text, **tunable)]
-    profile = scene.profile.coefficients
-    for k, value in enumerate(() if all(c.legs for c in scene.contacts) else profile):
-        text = f"Path profile sigma(t), coefficient of t^{k}"
-        rows.append(_parameter(f"profile[{k + 1}]", value, (1, -1 - k, 0), text))
-    yield rows
-    fingers = [(f"contact[{i + 1}].finger", c.finger) for i, c in enumerate(scene.contacts)]
-    for owner, surface in [("object", scene.object), *fingers]:
-        rows = []
-        for name, value in zip(number_names(surface, 1), surface.parameters):
-            own = f"{owner}.{name}", value
-            text = f"Parameter {name} of the {owner.rpartition('.')[2]}'s surface"
-            if isinstance(surface, OfLengths):
-                least = min(1e-6, 1e-3 * value)
-                rows.append(_parameter(*own, METRE, text, minimum=least, nominal=value or None))
-            else:
-                unit, more = METRE if name.startswith("center[") else None, dict[str, Any]()
-                if isinstance(surface, Quadric):  # whose numbers depend on each other
-                    more = {"causality": "local", "variability": "constant"}
-                rows.append(_parameter(*own, unit, text, **more))
-        yield rows
+    gain = _parameter(name, scene.gain.value, (*scene.gain.row.dimension, 0), text, **tunable)
+    shared = () if all(c.legs for c in scene.contacts) else scene.profile.coefficients
+    text = "Path profile sigma(t), coefficient of t^"
+    profile = [
+        _parameter(f"profile[{k + 1}]", value, (1, -1 - k, 0), f"{text}{k}")
+        for k, value in enumerate(shared)
+    ]
+    text = "Factor of the scene's own disturbances; 0 leaves them out"
+    scale = _parameter("disturbances.scale", 1.0, NONE, text)
+    found: dict[str, Iterable[Variable]]
+    found = {"gain": [gain], "profile": profile, "scale": [scale]}
+    found["object"] = _numbers("object", scene.object)
+    for i, contact in enumerate(scene.contacts):
+        found[f"finger {i}"] = _numbers(f"contact[{i + 1}].finger", contact.finger)
+    return found | {"windows": _window_rows(scene)}
+
+
+def _numbers(owner: str, surface: Surface) -> Iterator[Variable]:
+    """The parameters of a body's surface."""
+    for name, value in zip(number_names(surface, 1), surface.parameters):
+        own = f"{owner}.{name}", value
+        text = f"Parameter {name} of the {owner.rpartition('.')[2]}'s surface"
+        if isinstance(surface, OfLengths):
+            least = min(1e-6, 1e-3 * value)
+            yield _parameter(*own, METRE, text, minimum=least, nominal=value or None)
+        else:
+            unit, more = METRE if name.startswith("center[") else None, dict[str, Any]()
+            if isinstance(surface, Quadric):  # whose numbers depend on each other
+                more = {"causality": "local", "variability": "constant"}
+            yield _parameter(*own, unit, text, **more)
 
 
 def _window_rows(scene: Scene) -> Iterator[Variable]:

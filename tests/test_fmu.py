@@ -454,7 +454,7 @@ def test_state_bytes_that_do_not_fit_are_refused(kind, version):
     for wrong in (b"", data[:-1], data + b"\0", other.written(), *flipped):
         one.refused("refused", one.read, wrong)
     old = data[:8] + (1).to_bytes(8, sys.byteorder) + data[16:]
-    one.refused("it was written by another version", one.read, old)
+    one.refused("another model or another version", one.read, old)
     theirs = other.state()
     for call in (lambda: one.restore(theirs, 0.0), lambda: one.free(theirs)):
         one.refused("another model's", call)

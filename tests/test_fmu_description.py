@@ -18,6 +18,7 @@ from fmpy.validation import validate_fmu  # noqa: E402
 from fmu_hosts.blocks import Instance  # noqa: E402
 
 from fmu_export import in_process, variable_table  # noqa: E402
+from fmu_export.data import scene_data  # noqa: E402
 from fmu_export.description import model_description, model_identifier, terminals  # noqa: E402
 
 BOTH = ("CoSimulation", "ModelExchange")
@@ -84,7 +85,7 @@ def written(tmp_path):
     def write(scene, version, arrays=False, **options):
         scene = cs.load_scene(scene) if isinstance(scene, str) else scene
         table = variable_table(scene, arrays=arrays)
-        text = model_description(table, version, **options)
+        text = model_description(table, scene_data(table)[1], version, **options)
         (tmp_path / "modelDescription.xml").write_text(text, encoding="utf-8")
         return tmp_path
 
@@ -119,10 +120,10 @@ def test_fmpy_reads_back_what_the_table_says(version, arrays, written):
 @of_versions
 def test_states_that_events_change_are_told_in_model_exchange(version):
     table = variable_table(cs.load_scene("R1").replace(gain=cs.Gain.guaranteed(1.0)))
-    rows = ET.fromstring(model_description(table, version)).find("ModelVariables")
+    rows = ET.fromstring(model_description(table, "{}", version)).find("ModelVariables")
     told = [v.get("name") for v in rows if any(e.get("reinit") == "true" for e in v.iter())]
     assert told == [f"contact[1].frame.{n}.{a}" for n in ("velocity", "slip") for a in "xy"]
-    assert "reinit" not in model_description(table, version, ("CoSimulation",))
+    assert "reinit" not in model_description(table, "{}", version, ("CoSimulation",))
 
 
 @pytest.mark.parametrize("interfaces", [BOTH, ("CoSimulation",)], ids=" ".join)

@@ -37,7 +37,7 @@ static void drop_plan(component_t *c, long i) {
 static void free_component(component_t *c) {
   if (!c) return;
   for (long i = 0; c->live && i < c->model->n_contacts; i++) drop_plan(c, i);
-  free(c->own), free(c->live), free(c->buffer);
+  free(c->own), free(c->live), free(c->scene);
   free(c->grows), free(c->tangents), free(c->registers), free(c->along);
   free_model(c->model);
   free(c);
@@ -68,15 +68,18 @@ static const char *make_component(component_t *c, const char *resources) {
   c->engine = contact_engine();
   c->own = new_saved(m);
   c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
-  /* legs, windows and numbers take no more room in the engine's scene than in the model's data */
-  c->buffer = malloc((size_t)(m->data[D_SIZE] + S_HEADER + CONTACT_SIZE + 3 * WINDOW_SIZE + 2) *
-                     sizeof(double));
+  /* what lies there takes no more room than in the model's data, but for windows that are inputs */
+  const size_t scene = (size_t)count_of(m, D_SCENE);
+  c->scene = malloc((scene + (size_t)m->data[D_SIZE] + 3 * WINDOW_SIZE) * sizeof(double));
   c->grows = malloc((size_t)m->n_values * sizeof *c->grows);
   c->tangents = malloc(registers * sizeof *c->tangents);
   c->registers = malloc(registers * sizeof *c->registers);
   c->along = malloc(registers * sizeof *c->along);
-  if (!c->own || !c->live || !c->buffer || !c->grows || !c->tangents || !c->registers || !c->along)
+  if (!c->own || !c->live || !c->scene || !c->grows || !c->tangents || !c->registers || !c->along)
     return "no memory";
+  memcpy(c->scene, scene_of(m), scene * sizeof *c->scene);
+  c->scene[S_CONTACTS] = 1, c->scene[S_PANELS] = MOST_PANELS;
+  c->room = c->scene + scene;
   c->now = &c->own->memory;
   c->value = (double *)(c->now + 1), c->segment = (segment_t *)(c->value + m->n_values);
   return NULL;
@@ -89,7 +92,7 @@ static const char *make_component(component_t *c, const char *resources) {
 /* ---- what is set ---- */
 
 static status_t check_value(component_t *c, unsigned reference, double value) {
-  const double least = section(c->model, D_LEAST)[reference];
+  const double least = value_row(c->model, reference, R_LEAST);
   if (!(fabs(value) <= DBL_MAX))
     return report(c, DISCARD, "%s = %g is refused; give a finite number",
                   name_of(c->model, reference), value);

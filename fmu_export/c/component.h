@@ -73,7 +73,8 @@ typedef struct {
   double *value;      /* in *now */
   segment_t *segment; /* in *now */
   live_t *live;
-  double *buffer;        /* a contact's scene for the engine */
+  double *scene;         /* the engine's, of one contact at a time; and what lies behind it: */
+  double *room;          /* what is added to it, constants of tables, roots */
   double (*grows)[L];    /* derivatives of all values */
   double *registers;     /* of the table that is run */
   double (*tangents)[L]; /* derivatives of those of equations; */
@@ -86,6 +87,8 @@ typedef struct {
   int uses_events, early_return; /* the importer handles events; and steps that they end early */
   int changed, follows; /* inputs have in continuous time; and the solver has evaluated that */
 } component_t;
+
+#define MOST_PANELS 20000.0 /* of one plan: a second of work, kilometres of path */
 
 /* whether states are given and results follow from them, else plans are */
 #define SYSTEM(now) (!(now)->stepping || ((now)->phase & (INSTANTIATED | INITIALIZATION)))

@@ -17,7 +17,7 @@ static const char *sense(component_t *c, long i, const double states[N_STATES],
                          const double points[6], const double **found) {
   const double *row = contact_of(c->model, i), *limit = section(c->model, D_SENSOR);
   const table_t *t = c->model->tables + (long)row[P_SENSOR];
-  double *next = c->buffer, body[BODY_SIZE];
+  double *next = c->room, body[BODY_SIZE];
   for (int side = 0; side < 2; side++) put_body(c, i, side, &next, body), *next++ = body[B_LENGTH];
   double *r = load_table(c, t), *x = r;
   const double *y = r + t->first_out;

@@ -1,5 +1,4 @@
-/* Reading a scene's data. */
-#include "model.h"
+/* Reading a scene's data: see model.h. */
 
 /* The data of the FMU whose resources are here, to be freed; NULL where there is none. In FMUs of
    sources scene.c returns the array in scene.inc, else resource.c reads the file. */
@@ -16,8 +15,11 @@ static inline const double *section(const model_t *m, int at) {
   return m->data + (long)m->data[at];
 }
 
+/* How many rows a section has */
+static inline long count_of(const model_t *m, int at) { return (long)section(m, at)[-1]; }
+
 static inline const double *contact_of(const model_t *m, long i) {
-  return section(m, D_AT_CONTACTS) + i * P_SIZE;
+  return section(m, D_CONTACTS) + i * P_SIZE;
 }
 
 /* Where a group of a contact's values begins, or for GROUPS where the last one ends: a reference */
@@ -34,25 +36,25 @@ static inline long frame_of(const model_t *m, long i, int side) {
   return (long)contact_of(m, i)[P_FRAMES + side];
 }
 
-/* The engine's buffer of a contact as it was exported, and a body's row there */
-static inline const double *scene_of(const model_t *m, long i) {
-  return m->data + (long)contact_of(m, i)[P_SCENE];
+/* The engine's buffer as it was exported; a contact's row there, and a body's */
+static inline const double *scene_of(const model_t *m) { return section(m, D_SCENE); }
+
+static inline const double *row_of(const model_t *m, long i) {
+  return scene_of(m) + S_HEADER + i * CONTACT_SIZE;
 }
 
 static inline const double *body_of(const model_t *m, long i, int side) {
-  return scene_of(m, i) + (side ? S_OBJECT : S_HEADER + K_FINGER);
+  return side ? scene_of(m) + S_OBJECT : row_of(m, i) + K_FINGER;
 }
 
-static inline double horizon_of(const model_t *m) { return scene_of(m, 0)[S_END]; }
-
-static inline int makes_up(const model_t *m) { return scene_of(m, 0)[S_MAKES_UP] > 0; }
+static inline int makes_up(const model_t *m) { return scene_of(m)[S_MAKES_UP] > 0; }
 
 static inline const table_t *system_of(const model_t *m, long i) {
   return m->tables + (long)contact_of(m, i)[P_SYSTEM];
 }
 
 static inline const surface_t *surface_of(const model_t *m, long i, int side) {
-  return m->surfaces[(long)contact_of(m, i)[P_SURFACES + side]];
+  return m->surfaces[(long)body_of(m, i, side)[B_SURFACE]];
 }
 
 /* A body's parameters: the reference of the first, and how many */
@@ -64,8 +66,16 @@ static inline size_t n_parameters(const model_t *m, long i, int side) {
   return (size_t)surface_of(m, i, side)->n_numbers - 1; /* besides its sign */
 }
 
+static inline double value_row(const model_t *m, unsigned reference, int number) {
+  return section(m, D_VALUES)[reference * VALUE_SIZE + (unsigned)number];
+}
+
 static inline long owner_of(const model_t *m, unsigned reference) {
-  return (long)section(m, D_OWNERS)[reference];
+  return (long)value_row(m, reference, R_OWNER);
+}
+
+static inline int kind_of(const model_t *m, unsigned reference) {
+  return (int)value_row(m, reference, R_KIND);
 }
 
 static const char *name_of(const model_t *m, unsigned reference) {
@@ -76,12 +86,8 @@ static const char *name_of(const model_t *m, unsigned reference) {
 
 static inline const char *token_of(const model_t *m) { return (const char *)section(m, D_TOKEN); }
 
-static inline int kind_of(const model_t *m, unsigned reference) {
-  return (int)section(m, D_KINDS)[reference];
-}
-
 static void read_tables(model_t *m) {
-  for (long k = 0; k < (long)m->data[D_N_TABLES]; k++) {
+  for (long k = 0; k < count_of(m, D_TABLES); k++) {
     const double *row = section(m, D_TABLES) + k * T_SIZE;
     table_t *t = m->tables + k;
     int32_t *const numbers[] = {&t->n_in,      &t->n_const,   &t->n_out, &t->n_lit,
@@ -95,7 +101,7 @@ static void read_tables(model_t *m) {
 }
 
 static void read_surfaces(model_t *m) {
-  for (long s = 0; s < (long)m->data[D_N_SURFACES]; s++) {
+  for (long s = 0; s < count_of(m, D_SURFACES); s++) {
     const double *row = section(m, D_SURFACES) + s * F_SIZE;
     surface_t *own = m->own + s;
     if (row[F_BUILTIN] >= 0) {
@@ -135,11 +141,11 @@ static model_t *read_model(const char *resources, const char **wrong) {
   if (count <= D_HEADER || d[D_VERSION] != DATA_VERSION || d[D_SIZE] != (double)count ||
       d[D_CHECKSUM] != (double)adler32(d + D_HEADER, 8 * (count - D_HEADER)))
     goto refused;
-  m->n_contacts = (long)d[D_CONTACTS], m->n_values = (long)d[D_VALUES];
-  m->n_windows = (long)d[D_N_WINDOWS];
-  const size_t surfaces = (size_t)d[D_N_SURFACES];
+  m->n_contacts = count_of(m, D_CONTACTS), m->n_values = count_of(m, D_VALUES);
+  m->n_windows = count_of(m, D_WINDOWS);
+  const size_t surfaces = (size_t)count_of(m, D_SURFACES);
   m->surfaces = calloc(surfaces, sizeof *m->surfaces), m->own = calloc(surfaces, sizeof *m->own);
-  m->tables = calloc((size_t)d[D_N_TABLES], sizeof *m->tables);
+  m->tables = calloc((size_t)count_of(m, D_TABLES), sizeof *m->tables);
   *wrong = "no memory";
   if (!m->surfaces || !m->own || !m->tables) goto refused;
   read_tables(m);

@@ -18,37 +18,32 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_VERSION 20261201.0
+#define DATA_VERSION 20261202.0
 enum {
-  D_VERSION,  /* raised with each change; data is known by it */
-  D_SIZE,     /* doubles in all */
-  D_CHECKSUM, /* of what follows the header, 32 bits */
+  D_VERSION,   /* raised with each change; data is known by it */
+  D_SIZE,      /* doubles in all */
+  D_CHECKSUM,  /* of what follows the header, 32 bits */
+  D_SCALE,     /* reference of the factor of the scene's windows */
+  D_REGISTERS, /* that tables have at most */
+  D_NAMES,     /* texts, one after the other, of all values */
+  D_STARTS,    /* numbers, of all values */
+  D_NOMINALS,  /* of all states */
+  D_SENSOR,    /* SENSOR_SIZE numbers */
+  D_SCENE,     /* the engine's buffer, at the start and without windows, behind its size */
+  D_VALUES,    /* from here on rows, before which stands how many; the first values are time, gain,
+                  and the coefficients of the scene's profile */
   D_CONTACTS,
-  D_VALUES, /* how many; the first are time, gain, and the coefficients of the scene's profile */
-  D_SCALE,  /* reference of the factor of the scene's windows */
-  D_TOKEN,  /* text */
-  D_NAMES,  /* texts, one after the other, of all values */
-  D_OWNERS, /* contacts of all values; -1: of all contacts */
-  D_KINDS,  /* of all values */
-  D_SIZES,  /* how many values a reference of FMI 3 has */
-  D_STARTS,
-  D_LEAST,
-  D_NOMINALS, /* of the states */
-  D_AT_CONTACTS,
-  D_SURFACES, /* and how many */
-  D_N_SURFACES,
-  D_TABLES, /* and how many */
-  D_N_TABLES,
-  D_REGISTERS, /* that these and tables of surfaces have at most */
-  D_WINDOWS,   /* and how many */
-  D_N_WINDOWS,
-  D_CORNERS, /* where legs of any contact begin, ascending, and how many */
-  D_N_CORNERS,
-  D_SENSOR, /* SENSOR_SIZE numbers */
-  D_ORDERS, /* pairs of references: the first value stays greater than the second */
-  D_N_ORDERS,
+  D_SURFACES,
+  D_TABLES,
+  D_WINDOWS,
+  D_CORNERS, /* where legs of any contact begin, ascending */
+  D_ORDERS,  /* pairs of references: the first value stays greater than the second */
+  D_TOKEN,   /* text */
   D_HEADER
 };
+/* a value: its contact, -1 of all; what it is; how many it is one of, as FMI 3 sees it, 0 behind
+   the first of an array; its least value */
+enum { R_OWNER, R_KIND, R_SIZE, R_LEAST, VALUE_SIZE };
 /* groups of a contact's values; results are those from the states on */
 enum {
   OF_INPUTS,
@@ -67,12 +62,8 @@ enum {
 /* a contact; the frames among its states are 6 numbers, a point and an axis, or 3, coordinates and
    an angle */
 enum {
-  P_SCENE, /* the engine's buffer of this contact alone, at its start and without windows; its size
-            */
-  P_SCENE_SIZE,
-  P_OWN_LEGS,                    /* 0: the profile there is the scene's, which is a parameter */
-  P_SURFACES,                    /* finger's and object's, which that buffer does not know, */
-  P_PARAMETERS = P_SURFACES + 2, /* and references of their first parameters */
+  P_OWN_LEGS,   /* 0: its only leg has the scene's profile, which is a parameter */
+  P_PARAMETERS, /* references of the first ones of finger and object */
   P_GROUPS = P_PARAMETERS + 2,
   P_COLUMNS = P_GROUPS + GROUPS + 1, /* references of its point and constants; -1: of a leg's
                                         profile */

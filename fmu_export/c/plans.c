@@ -1,17 +1,14 @@
 /* The engine's plans of contacts, each from where its segment begins. */
 
-#define MOST_PANELS 20000.0 /* of one plan: a second of work, kilometres of path */
-
-/* The body's row of the engine's buffer; its numbers go to *next. Scales follow its lengths. */
+/* The body's row of the engine's scene; its numbers go to *next. Scales follow its lengths. */
 static void put_body(component_t *c, long i, int side, double **next, double *row) {
   const model_t *m = c->model;
   const int has_lengths = surface_of(m, i, side)->name[0] != 0; /* else it is a user's */
   const double *given = c->value + parameters_of(m, i, side);
   double larger = 1.0, smaller = 1.0;
   memcpy(row, body_of(m, i, side), BODY_SIZE * sizeof *row);
-  const double *own = scene_of(m, i) + (long)row[B_NUMBERS];
-  row[B_SURFACE] = contact_of(m, i)[P_SURFACES + side];
-  row[B_NUMBERS] = (double)(*next - c->buffer);
+  const double *own = scene_of(m) + (long)row[B_NUMBERS];
+  row[B_NUMBERS] = (double)(*next - c->scene);
   *(*next)++ = *own++; /* the sign */
   for (size_t j = 0; j < n_parameters(m, i, side); j++) {
     const double ratio = has_lengths && own[j] != 0.0 ? fabs(given[j] / own[j]) : 1.0;
@@ -32,14 +29,12 @@ static void put_window(double **next, double slot, double start, double stop, co
 /* The engine's plan of contact i under a segment; NULL, with c->failure, where there is none. */
 static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   const model_t *m = c->model;
-  const size_t size = (size_t)contact_of(m, i)[P_SCENE_SIZE];
   const leg_t leg = leg_of(c, i, 0); /* of others nothing can be set */
-  double *b = c->buffer, *row = b + S_HEADER, *next = b + size;
+  double *b = c->scene, *row = b + S_HEADER, *next = c->room;
   plan_t *found;
   c->failure = (failure_t){.code = STUCK};
   if (!(s->end > s->begin)) return NULL;
-  memcpy(b, scene_of(m, i), size * sizeof *b);
-  b[S_PANELS] = MOST_PANELS;
+  memcpy(row, row_of(m, i), CONTACT_SIZE * sizeof *row);
   b[S_BEGIN] = s->begin, b[S_END] = s->end, b[S_GAIN] = s->gain;
   memcpy(b + (long)b[(long)row[K_LEGS] + G_PROFILE], leg.sigma, (size_t)leg.n * sizeof *b);
   put_body(c, i, 1, &next, b + S_OBJECT);

@@ -2,7 +2,6 @@
 
 #include "polynomial.h"
 
-enum { MAX_PROFILE = 64 };
 #define AGES 1e9        /* s, 30 years: what sigma does later is nothing to look for */
 #define LOOK_AHEAD 1.05 /* a solver may look this far beyond sigma's end, within its last step */
 
@@ -16,14 +15,12 @@ typedef struct {
   long n;
 } leg_t;
 
-static long n_legs(const model_t *m, long i) {
-  return (long)scene_of(m, i)[S_HEADER + K_LEGS_SIZE];
-}
+static long n_legs(const model_t *m, long i) { return (long)row_of(m, i)[K_LEGS_SIZE]; }
 
 /* Where it has no legs, a contact is on one that has the scene's profile. */
 static leg_t leg_of(const component_t *c, long i, long k) {
-  const double *scene = scene_of(c->model, i);
-  const double *row = scene + (long)scene[S_HEADER + K_LEGS] + k * LEG_SIZE;
+  const double *scene = scene_of(c->model);
+  const double *row = scene + (long)row_of(c->model, i)[K_LEGS] + k * LEG_SIZE;
   const int own = contact_of(c->model, i)[P_OWN_LEGS] > 0;
   return (leg_t){row[G_START], own ? scene + (long)row[G_PROFILE] : c->value + PROFILE,
                  row + G_TURN, (long)row[G_PROFILE_SIZE]};
@@ -46,12 +43,12 @@ static double clear_sigma(const leg_t *leg, double t) {
   return clear_value(leg->sigma, leg->n, t, horner(leg->sigma, leg->n, t));
 }
 
-/* where the leg's sigma, or its rate for order 1, changes its sign between two times, ascending */
-static long signs_of(const leg_t *leg, int order, double from, double to,
-                     double found[2 * MAX_PROFILE]) {
+/* where the leg's sigma, or its rate for order 1, changes its sign between two times, ascending: in
+   c->room */
+static long signs_of(const component_t *c, const leg_t *leg, int order, double from, double to) {
   const double start = leg->start;
-  const long n = (long)sign_changes(leg->sigma, leg->n, order, from - start, to - start, found);
-  for (long k = 0; k < n; k++) found[k] += start;
+  const long n = (long)sign_changes(leg->sigma, leg->n, order, from - start, to - start, c->room);
+  for (long k = 0; k < n; k++) c->room[k] += start;
   return n;
 }
 
@@ -62,11 +59,10 @@ static void study_profiles(component_t *c) {
     const leg_t leg = leg_of(c, i, n_legs(c->model, i) - 1);
     const double begin = fmax(c->now->time, leg.start);
     const double far = begin + AGES;
-    double at[2 * MAX_PROFILE];
-    const long n = signs_of(&leg, 0, begin, far, at);
-    const double middle = 0.5 * (begin + (n ? at[0] : far)) - leg.start;
-    const int ends = clear_sigma(&leg, middle) < 0;
-    if (ends || n) c->now->limit = fmin(c->now->limit, ends ? begin : at[0]);
+    const long n = signs_of(c, &leg, 0, begin, far);
+    const double first = n ? c->room[0] : far;
+    const int ends = clear_sigma(&leg, 0.5 * (begin + first) - leg.start) < 0;
+    if (ends || n) c->now->limit = fmin(c->now->limit, ends ? begin : first);
   }
 }
 
@@ -105,7 +101,7 @@ static const double *window_values(const component_t *c, long k) {
 }
 
 /* The edges of windows, then the corners of legs */
-static long n_edges(const model_t *m) { return 2 * m->n_windows + (long)m->data[D_N_CORNERS]; }
+static long n_edges(const model_t *m) { return 2 * m->n_windows + count_of(m, D_CORNERS); }
 
 static double edge_of(const component_t *c, long k) {
   const long corner = k - 2 * c->model->n_windows;
@@ -115,16 +111,16 @@ static double edge_of(const component_t *c, long k) {
 /* The next edge; of a system of equations also where its law changes its form or sigma ends */
 static double next_edge(const component_t *c) {
   const memory_t *now = c->now;
-  double next = HUGE_VAL, turn[2 * MAX_PROFILE];
+  double next = HUGE_VAL;
   for (long k = 0; k < n_edges(c->model); k++)
     if (!reached(now->time, edge_of(c, k))) next = fmin(next, edge_of(c, k));
   if (now->stepping) return next;
   if (!reached(now->time, now->limit)) next = fmin(next, now->limit);
   for (long i = 0; i < c->model->n_contacts && makes_up(c->model); i++) {
     const leg_t leg = leg_of(c, i, leg_now(c, i));
-    const long n = signs_of(&leg, 1, now->time, fmin(now->limit, now->time + AGES), turn);
+    const long n = signs_of(c, &leg, 1, now->time, fmin(now->limit, now->time + AGES));
     for (long k = 0; k < n; k++)
-      if (!reached(now->time, turn[k])) next = fmin(next, turn[k]);
+      if (!reached(now->time, c->room[k])) next = fmin(next, c->room[k]);
   }
   return next;
 }

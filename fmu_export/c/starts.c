@@ -1,11 +1,11 @@
 /* Frames at the start, which belong to their surfaces, whatever is set. Where derivatives are asked
    for, they are carried along. */
 
-/* Loads a table with constants that lie in the buffer; returns its registers, which hold the point
+/* Loads a table with constants that lie in c->room; returns its registers, which hold the point
    first. */
 static double *load_table(component_t *c, const table_t *t) {
   double *r = c->registers;
-  memcpy(r + t->n_in, c->buffer, (size_t)t->n_const * sizeof *r);
+  memcpy(r + t->n_in, c->room, (size_t)t->n_const * sizeof *r);
   if (t->n_lit) memcpy(r + t->first_lit, t->literals, (size_t)t->n_lit * sizeof *r);
   c->engine->step(&(program_t){t->prologue, r});
   return r;
@@ -15,8 +15,8 @@ static double *load_table(component_t *c, const table_t *t) {
 static double *load_surface(component_t *c, long i, int side, const table_t *t,
                             double (*numbers)[L]) {
   const size_t n = n_parameters(c->model, i, side);
-  c->buffer[0] = scene_of(c->model, i)[(long)body_of(c->model, i, side)[B_NUMBERS]]; /* sign */
-  memcpy(c->buffer + 1, c->value + parameters_of(c->model, i, side), n * sizeof *c->value);
+  c->room[0] = scene_of(c->model)[(long)body_of(c->model, i, side)[B_NUMBERS]]; /* sign */
+  memcpy(c->room + 1, c->value + parameters_of(c->model, i, side), n * sizeof *c->value);
   double *r = load_table(c, t);
   memset(c->along, 0, (size_t)t->n_regs * sizeof *c->along);
   if (numbers) memcpy(c->along + t->n_in + 1, numbers, n * sizeof *numbers);
@@ -29,7 +29,7 @@ static double *load_surface(component_t *c, long i, int side, const table_t *t,
    gradient. Returns what is wrong, or NULL. */
 static const char *put_frame(component_t *c, long i, int side, double frame[6], double (*grows)[L],
                              double (*numbers)[L]) {
-  const double *starts = section(c->model, D_STARTS), *row = scene_of(c->model, i) + S_HEADER;
+  const double *starts = section(c->model, D_STARTS), *row = row_of(c->model, i);
   const table_t *const *tables = surface_of(c->model, i, side)->ambient, *t = tables[A_START];
   const double *own = starts + at_of(c->model, i, OF_STATES) + side * frame_of(c->model, i, 0);
   const long at = parameters_of(c->model, i, side);

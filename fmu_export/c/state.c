@@ -46,13 +46,9 @@ static status_t read_state(component_t *c, const void *bytes, size_t count, void
   const char *wrong = NULL;
   if (!s)
     wrong = "there is no memory";
-  else if (!bytes || count != own->length)
-    wrong = "its length is not that of this model's states";
-  else if (memcpy(s, bytes, count), s->version != own->version)
-    wrong = "it was written by another version";
-  else if (s->mark != own->mark || s->length != own->length || s->model != own->model)
-    wrong = "it belongs to another model";
-  else if (s->checksum != checksum_of(c->model, s))
+  else if (!bytes || count != own->length || memcmp(bytes, own, offsetof(saved_t, checksum)))
+    wrong = "it belongs to another model or another version";
+  else if (memcpy(s, bytes, count), s->checksum != checksum_of(c->model, s))
     wrong = "its checksum does not match; it has been changed";
   if (wrong) {
     free(s);

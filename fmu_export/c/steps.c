@@ -25,11 +25,11 @@ static const char *place_contact(component_t *c, long i) {
   memcpy(to + K_W1, x, 4 * sizeof *x);
   if (frame_of(m, i, 0) == 6) { /* psi is found but for whole turns; the lower of two as near */
     const double turn = 6.283185307179586, psi = -to[K_PLACE_1 + 2] - to[K_PLACE_2 + 2];
-    to[K_PLACE_1 + 2] -= turn * ceil((scene_of(m, i)[S_HEADER + K_ANGLE] - psi) / turn - 0.5);
+    to[K_PLACE_1 + 2] -= turn * ceil((row_of(m, i)[K_ANGLE] - psi) / turn - 0.5);
   }
   if (!all_finite(s->row, CONTACT_SIZE))
     return "its charts have no coordinates there, as at a pole";
-  const double stop = c->now->stop_time, horizon = horizon_of(m);
+  const double stop = c->now->stop_time, horizon = scene_of(m)[S_END];
   const double far = stop < HUGE_VAL ? stop : s->begin < horizon ? horizon : s->begin + horizon;
   s->end = end_of(c, s->begin, far, s->begin);
   return NULL;
@@ -54,7 +54,7 @@ static status_t start(component_t *c) {
   study_profiles(c);
   if (now->limit <= now->time)
     REFUSE("sigma is negative from t = %.9g s on; change the profile", now->time);
-  for (long k = 0; k < (long)m->data[D_N_ORDERS]; k++, order += 2) {
+  for (long k = 0; k < count_of(m, D_ORDERS); k++, order += 2) {
     const long greater = (long)order[0], less = (long)order[1];
     if (!(c->value[greater] > c->value[less]))
       REFUSE("%s = %.9g is refused: it must be greater than %s = %.9g; set both, or export a scene "

@@ -29,9 +29,7 @@ static double *load_system(component_t *c, long i, double (*grows)[L]) {
   memcpy(x, values_of(c, i, OF_STATES), (size_t)n * sizeof *x);
   if (c->now->phase == INITIALIZATION) put_frames(c, i, x, grows);
   for (long j = 0, own = 0; j < t->n_const; j++)
-    c->buffer[j] = column[j] >= 0 ? c->value[(long)column[j]]
-                   : own < leg.n  ? leg.sigma[own++]
-                                  : 0.0;
+    c->room[j] = column[j] >= 0 ? c->value[(long)column[j]] : own < leg.n ? leg.sigma[own++] : 0.0;
   double *r = load_table(c, t);
   r[0] = c->now->time - leg.start;
   memcpy(r + 1, x, (size_t)n * sizeof *x);
