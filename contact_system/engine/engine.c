@@ -106,6 +106,7 @@ static int evaluate(const plan_t *plan, int64_t n, const double *t, double *cons
 static int look(plan_t *plan, double t, double *const *out, failure_t *failure) {
   if (!plan->kept) plan->kept = calloc(1, sizeof *plan->kept);
   if (!plan->kept) return (int)(failure->code = NO_MEMORY);
+  if ((out[STATES] || out[SLIP]) && anchor(plan, failure)) return (int)failure->code;
   return evaluate(plan, 1, &t, out, failure);
 }
 

@@ -207,7 +207,8 @@ typedef struct {
      be followed; and unless it is NULL, x J at m equal parts, path[m][4][n], to some digits */
   int (*geodesics)(const geodesic_t *how, int64_t n, const double *start, const double *length,
                    const double *tolerance, double *end, int64_t m, double *path);
-  /* like `evaluate` at one time, of plans of one thread: room for tables stays with the plan */
+  /* like `evaluate` at one time, and with `anchor` where STATES or SLIP need it, of plans of one
+     thread: room for tables stays with the plan */
   int (*look)(plan_t *plan, double t, double *const *out, failure_t *failure);
   /* paths of n legs to a goal: see steer.c */
   int64_t (*steer)(const steer_t *aim, int64_t n, int64_t count, double (*z)[L], double *off,

@@ -29,9 +29,8 @@ static status_t report(component_t *c, status_t status, const char *format, ...)
 /* ---- memory ---- */
 
 static void drop_plan(component_t *c, long i) {
-  live_t *k = c->live + i;
-  c->engine->drop(k->plan);
-  k->plan = NULL, k->anchored = 0;
+  c->engine->drop(c->live[i].plan);
+  c->live[i].plan = NULL;
 }
 
 static void free_component(component_t *c) {

@@ -59,8 +59,7 @@ typedef struct {
 
 /* What is known of a contact, and made again where it is not */
 typedef struct {
-  plan_t *plan; /* of its segment */
-  int anchored;
+  plan_t *plan;   /* of its segment */
   int derived;    /* whether its derivatives are asked for */
   unsigned valid; /* groups that belong to time and inputs */
 } live_t;

@@ -84,9 +84,9 @@ static void put_states(const model_t *m, long i, const double *row, double *to) 
 
 /* Evaluates groups of contact i at time t into its values; returns not 0 where a group has none. */
 static int look(component_t *c, long i, double t, unsigned groups) {
-  live_t *k = c->live + i;
+  plan_t *plan = c->live[i].plan;
   segment_t now;
-  int wrong = 0;
+  int wrong;
   double pose[16], *out[N_OUTPUTS] = {0};
   if (groups & BIT(OF_COORDINATES)) out[STATES] = values_of(c, i, OF_COORDINATES);
   if (groups & BIT(OF_SLIP)) out[SLIP] = values_of(c, i, OF_SLIP);
@@ -94,12 +94,8 @@ static int look(component_t *c, long i, double t, unsigned groups) {
   if (groups & BIT(OF_POSE)) out[POSE] = pose;
   if (groups & BIT(OF_POINTS)) out[POINTS] = values_of(c, i, OF_POINTS);
   if (groups & BIT(OF_CONDITION)) out[SLIP_SPEED] = values_of(c, i, OF_CONDITION) + 1;
-  if (!k->anchored && (out[STATES] || out[SLIP])) {
-    UNTRAPPED(wrong = c->engine->anchor(k->plan, &c->failure));
-    k->anchored = !wrong;
-  }
-  if (!wrong) UNTRAPPED(wrong = c->engine->look(k->plan, t, out, &c->failure));
-  if (wrong || (groups & BIT(OF_STATES) && go_on(c, k->plan, t, &now))) return 1;
+  UNTRAPPED(wrong = c->engine->look(plan, t, out, &c->failure));
+  if (wrong || (groups & BIT(OF_STATES) && go_on(c, plan, t, &now))) return 1;
   if (groups & BIT(OF_STATES)) put_states(c->model, i, now.row, values_of(c, i, OF_STATES));
   for (int r = 0; r < 3 && out[POSE]; r++) {
     memcpy(values_of(c, i, OF_POSE) + 3 * r, pose + 4 * r, 3 * sizeof *pose);
