@@ -42,7 +42,7 @@ from setuptools.command.build_ext import build_ext
 
 ENGINE = Path("contact_system", "engine")
 FMI = Path("fmu_export", "c")
-ZIGLANG = "ziglang>=0.13,<1"
+ZIGLANG = "ziglang>=0.17,<1"
 
 SAID = runpy.run_path(str(ENGINE / "platforms.py"))
 PLATFORMS = {p.wheel: p.target for p in SAID["PLATFORMS"].values() if p.wheel}
