@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import io
 import math
-import os
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
@@ -40,7 +39,7 @@ from .plan import METHODS, Plan, plan
 from .scene import Scene, bundled_scenes, load_scene, save_scene
 from .scene.files import fields_of, refuse_degrees
 from .steering import Goal, reach
-from .terminal import Progress, paragraph, table
+from .terminal import Progress, paragraph, table, tell
 from .theory.gain import LAWS, Gain
 
 PROGRAM = "contact-system"
@@ -57,15 +56,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         args = _parser(words).parse_args(words)
-        code = args.run(args)
-        print(end="", flush=True)  # sys.stdout is None where it was closed
-        return code
+        return args.run(args)
     except KeyboardInterrupt:
         print(f"{PROGRAM}: interrupted", file=sys.stderr)
         return 130  # the shells' convention
-    except BrokenPipeError:  # the reader of the output, such as head, has stopped reading
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except (ContactSystemError, OSError) as error:
         print(f"{PROGRAM}: error: {error}", file=sys.stderr)
         return 2
@@ -161,8 +155,7 @@ def _add_foreign(commands: Any, words: Sequence[str]) -> None:
 def _scenes(args: argparse.Namespace) -> int:
     scenes = bundled_scenes()
     width = max(map(len, scenes))
-    for name, description in scenes.items():
-        print(f"{name:{width}}  {description}")
+    tell(*(f"{name:{width}}  {description}" for name, description in scenes.items()))
     return 0
 
 
@@ -176,7 +169,7 @@ def _explain(args: argparse.Namespace) -> int:
     scene = _scene_of(args)
     with Progress(1, "planning"):
         planned = plan(scene, args.tolerance, args.method)
-    print(planned.explain(), *_contraction(scene), *_overlaps(planned), sep="\n")
+    tell(planned.explain(), *_contraction(scene), *_overlaps(planned))
     return 0
 
 
@@ -191,7 +184,7 @@ def _run(args: argparse.Namespace) -> int:
             scene = scene.replace(gain=Gain.time(scene.gain.value))
             other = plan(scene, args.tolerance, args.method)
             laws[other] = rejections(other)
-    print("\n".join(_report(laws)))
+    tell(*_report(laws))
     _write(args, results_folder(args, scene) / file_name(scene), *laws)
     return 0
 
@@ -208,14 +201,14 @@ def _reach(args: argparse.Namespace) -> int:
         route = reach(scene, goals, seconds=args.seconds)
         progress.step("planning")
         planned = plan(route.scene.replace(name=stem.name), args.tolerance)
-    print(f"{scene.title}: {route.length:.6g} m in all, {route.residual:.1e} off; {route.tried}")
+    tell(f"{scene.title}: {route.length:.6g} m in all, {route.residual:.1e} off; {route.tried}")
     for i, legs in enumerate(route.legs):
         for k, leg in enumerate(legs):
             where = f"{scene.contact_name(i)}, leg {k + 1}"
-            print(f"{where}: direction {leg.direction:.9g} rad, length {leg.length:.9g} m")
+            tell(f"{where}: direction {leg.direction:.9g} rad, length {leg.length:.9g} m")
     path = stem.with_name(stem.name + ".toml")
     save_scene(planned.scene, path)
-    print(f"wrote {path}")
+    tell(f"wrote {path}")
     _write(args, stem, planned)
     return 0
 
@@ -285,7 +278,7 @@ def _write(args: argparse.Namespace, stem: Path, shown: Plan, other: Plan | None
         which = which if len(singular) > 1 else f"t = {singular[0]!r} s"
         lines = [f"left out of the files: {which}; at a pole or an umbilic there are no states"]
     draw = None if args.no_plots else partial(plots.plot, shown, other=other)
-    print(*lines, *written(stem, partial(shown.save, times=regular), draw), sep="\n")
+    tell(*lines, *written(stem, partial(shown.save, times=regular), draw))
 
 
 def written(

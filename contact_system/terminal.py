@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import textwrap
 import threading
 import time
 from collections.abc import Iterable, Sequence
+
+
+def tell(*lines: str) -> None:
+    """Print lines at once. Once the reader, such as head, stops reading, work goes on unread."""
+    try:
+        print(*lines, sep="\n", flush=True)  # sys.stdout is None where it was closed
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def paragraph(text: str) -> str:

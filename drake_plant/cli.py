@@ -16,7 +16,7 @@ import numpy as np
 from contact_system import SceneError, load_scene
 from contact_system.cli import file_name, results_folder, written
 from contact_system.measures import REJECTED
-from contact_system.terminal import Progress, paragraph, table
+from contact_system.terminal import Progress, paragraph, table, tell
 
 # Drake takes a second to import, so functions import what needs it: help lists the command, too
 if TYPE_CHECKING:
@@ -63,10 +63,10 @@ def run(args: argparse.Namespace) -> int:
         # a closed loop is judged by what it spares; of a hand no such table is told
         if config.pushes and config.closed_loop and config.hand is None:
             opened = simulate(scene, config.opened(), duration, progress=advance)
-    print("\n".join(_told(result, opened)))
-    print(*written(stem, result.save, partial(plot, result, opened=opened)), sep="\n")
+    tell(*_told(result, opened))
+    tell(*written(stem, result.save, partial(plot, result, opened=opened)))
     if recording is not None:
-        print(f"wrote {recording}")
+        tell(f"wrote {recording}")
     return 0
 
 

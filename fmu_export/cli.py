@@ -9,7 +9,7 @@ from typing import Any
 
 from contact_system import ContactSystemError, load_scene
 from contact_system.cli import file_name
-from contact_system.terminal import Progress
+from contact_system.terminal import Progress, tell
 
 from .build import PLATFORMS
 from .description import INTERFACES, VERSIONS
@@ -64,8 +64,8 @@ def run(args: argparse.Namespace) -> int:
         chosen = (args.fmi, args.interfaces, args.platforms, progress.step)
         export_fmu(scene, path, *chosen, args.arrays, args.measured)
     if args.check:
-        print(f"{path} is within {check_fmu(path):.1e} of its reference results")
-    print(
+        tell(f"{path} is within {check_fmu(path):.1e} of its reference results")
+    tell(
         f"wrote {path}: {path.stat().st_size / 1000:.0f} kB, FMI {args.fmi}, "
         f"{' and '.join(args.interfaces)}, for {', '.join(args.platforms)}; "
         f"{time.monotonic() - began:.1f} s"

@@ -228,12 +228,12 @@ def test_progress_is_drawn_on_a_terminal_only_and_only_when_it_takes_long(monkey
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows tells a reader's end in other ways")
-def test_a_reader_that_has_read_enough_is_no_error():
+def test_a_reader_that_has_read_enough_is_no_error_and_stops_no_work(tmp_path):
     reads, writes = os.pipe()
     os.close(reads)
-    command = [sys.executable, "-m", "contact_system", "explain", "K4"]
-    ended = subprocess.run(command, stdout=writes, stderr=subprocess.PIPE, text=True)
+    command = [sys.executable, "-um", *"contact_system run K1 --no-plots --out".split(), tmp_path]
+    ended = subprocess.run(command, stdout=writes, stderr=subprocess.PIPE)
     os.close(writes)
-    assert (ended.returncode, ended.stderr) == (0, "")
+    assert (ended.returncode, ended.stderr, len([*tmp_path.iterdir()])) == (0, b"", 2)
     ended = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *command], stderr=subprocess.PIPE)
     assert (ended.returncode, ended.stderr) == (0, b"")  # nor is one that was never there

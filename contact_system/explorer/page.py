@@ -29,6 +29,7 @@ from ..plots.style import BODY, DISTURBED, colour_of
 from ..scene import NO_CLAIMS, Scene, save_scene
 from ..steering import Goal, reach
 from ..surfaces import ParametricSurface
+from ..terminal import tell
 from ..theory.gain import LAWS, Gain
 from .sliders import Place, Slider, adjusted, sliders_of
 
@@ -397,7 +398,7 @@ def explore(scene: Scene, file: Path, port: int = 8080) -> None:
     """Serve a scene's page until Ctrl-C, and print its address; see `Explorer`."""
     explorer = Explorer(scene, file, port)
     try:
-        print(f"{scene.title} at {explorer.address}; Ctrl-C ends it", flush=True)
+        tell(f"{scene.title} at {explorer.address}; Ctrl-C ends it")
         explorer.run()
     finally:
         explorer.close()
