@@ -31,7 +31,10 @@ class ContactTrajectories:
     ----------
     plan, contact, tolerance
     pose : PiecewisePose
-        X_OF: cubic positions, orientations by slerp.
+        X_OF: cubic positions, orientations by slerp. In a piece the angular part of its
+        ``GetVelocity`` is constant, and off by up to sqrt(2 tolerance times the angular
+        acceleration), by default up to 3e-3 of the greatest in the scenes of the package; that of
+        `twist` keeps the tolerance.
     twist : PiecewisePolynomial
         V_OF_O, angular then linear, (6, 1); it jumps where a disturbance makes it.
     finger_point, object_point : PiecewisePolynomial
