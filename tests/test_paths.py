@@ -86,9 +86,7 @@ def test_tolerances_are_kept_where_slip_settles_within_a_panel(name):
 def test_tolerances_are_kept_where_a_path_comes_to_a_bump():
     # Sweeps once stopped as if the next would change as little as one that hardly changed: 50.
     start = {"finger": cs.Plane(), "finger_at": (0.0, 0.0)}
-    bump = cs.ParametricSurface(
-        ("u", "v", "h*exp(-(u**2+v**2)/(2*h)**2)"), parameters={"h": 0.02}, size=0.1
-    )
+    bump = cs.ParametricSurface(("u", "v", "0.02*exp(-(u**2 + v**2)/0.04**2)"), size=0.1)
     rng, t = np.random.default_rng(1), np.linspace(0, 1, 21)
     for _ in range(60):
         scene = alone(bump, (-0.15, rng.uniform(-0.05, 0.05)), (0.3,), angle=rng.normal(), **start)
@@ -428,15 +426,13 @@ CONE = cs.ParametricSurface(("v*cos(u)", "v*sin(u)", "-v"), size=0.1)
 def test_path_straight_through_the_tip_of_a_cone_is_refused():
     aside, up = (alone(CONE, (0.2, 0.05), finger_velocity=w) for w in ((1.0, 0.0), (0.0, 1.0)))
     assert np.isfinite(cs.plan(aside).pose([0.1])).all()
-    text = r"contact 0: .*(ParametricSurface.* \(u, v\) = \(0.2, .*\)|past arc length 0.07071)"
-    with pytest.raises(cs.ContactSystemError, match=text):
+    with pytest.raises(cs.ContactSystemError, match=r"contact 0: .* \(u, v\) = \(0\.(2|19)"):
         cs.plan(up)
 
 
 def rolled_over(obj: cs.Surface, u: float, profile=(0.1,), v=0.0) -> cs.Scene:
     """A plane that is rolled over a ball of 0.1 m, north along a meridian."""
-    start = {"finger": cs.Plane(), "finger_at": (0.0, 0.0), "finger_velocity": (-1.0, 0.0)}
-    return alone(obj, (u, v), profile, **start)
+    return alone(obj, (u, v), profile, finger=cs.Plane(), finger_at=(0, 0), finger_velocity=(-1, 0))
 
 
 @pytest.mark.parametrize(
@@ -461,8 +457,7 @@ def test_a_pole_is_seen_wherever_panels_end(profile, tolerance):
 @pytest.mark.parametrize("method", ["auto", "chart"])
 def test_a_pole_beside_an_end_of_the_path_is_seen_and_one_beyond_it_is_not(u, method):
     if u < 1:
-        words = r"singular point of its chart.* at \(u, v\)"
-        with pytest.raises(cs.ContactSystemError, match=words):
+        with pytest.raises(cs.ContactSystemError, match=r"singular point of its chart.* \(u, v\)"):
             cs.plan(rolled_over(BALL, u), 1e-9, method)
     else:
         scenes = [rolled_over(obj, u) for obj in (BALL, cs.Sphere(0.1))]
@@ -545,9 +540,8 @@ def test_states_are_refused_where_the_centre_of_an_implicit_surface_does_not_see
     for ask in (plan.states, plan.slip):
         with pytest.raises(cs.ChartSingularity, match="out of the centre's sight"):
             ask([0.1, 1.0])
-    motion = plan.pose(1.0)[0], plan.twist(1.0)[0], plan.points(1.0)[0, :, 1]
     with pytest.raises(cs.ChartSingularity, match="out of sight of an .* another center"):
-        cs.measured_states(scene, *motion)
+        cs.measured_states(scene, plan.pose(1.0)[0], plan.twist(1.0)[0], plan.points(1.0)[0, :, 1])
 
 
 # --- extremes
@@ -559,13 +553,19 @@ def test_paths_of_which_rounding_leaves_too_few_digits_are_refused():
             cs.plan(alone(cs.Sphere(0.1), profile=(1.0,), finger_velocity=(speed, 0.0)))
 
 
-def test_a_path_of_panels_without_end_is_refused(monkeypatch):
+def test_a_path_of_panels_without_end_is_refused_with_the_cause(monkeypatch):
     monkeypatch.setattr(cs.limits, "PANELS", 1e4)  # sooner than by the limit that is set
-    force = cs.ObjectAcceleration(0, 0.1, 0.5, (0.1, 5e18))
     far = cs.ImplicitSurface("(x-1e4)**2 + y**2 + 2*z**2 - 0.01", size=0.1, center=(1e4, 0, 0))
-    for obj, why in ((cs.Sphere(0.1), "PANELS higher"), (far, "so give tolerance=1e-10")):
-        with pytest.raises(cs.ContactSystemError, match=f"panels reach t = .* s of .*{why}"):
-            cs.plan(alone(obj, object_velocity="rest", disturbances=[force]))
+    flat, ball = cs.ImplicitSurface("(x**2 + y**2 + z**2 - 0.01)**3", size=0.1), cs.Sphere(0.1)
+    force, pull = cs.ObjectAcceleration(0, 0, 1, (0, 5e18)), cs.ObjectRateOffset(0, 0, 1, (-9, 0))
+    for obj, acts, why in (
+        (ball, force, "panels reach t = .* s of .*PANELS higher"),
+        (far, force, "panels reach t = .* s of .*so give tolerance=1e-10"),
+        (ball, pull, r"past t = 0\.\d+ s: .* a pole .* or end the scene or the disturbance before"),
+        (flat, pull, "the gradient of F vanishes on the surface"),
+    ):
+        with pytest.raises(cs.ContactSystemError, match=why):
+            cs.plan(alone(obj, object_velocity="rest", disturbances=[acts]))
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])

@@ -479,6 +479,12 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   e->greediest = this ? e->contact : w->greediest;
   e->by_length = m->by_length, e->pushed = m->forced;
   e->value = m->by_length ? 1.0 : sigma_at(m->drive, s->tau);
+  if (m->body) { /* where it stands */
+    double place[5] = {m->state[0], m->state[1]};
+    if (m->ambient)
+      run_one(w, m->body->surface->ambient[A_COORDINATES], m->body->numbers, m->state, place);
+    e->u = place[0], e->v = place[1];
+  }
   fail(w, code);
 }
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 from .. import limits
 from ..engine.binding import Fact, Failure
-from ..errors import ChartSingularity, ContactSystemError, SceneError
+from ..errors import ChartSingularity, ContactSystemError, SceneError, SurfaceError
 from ..scene import DISTURBANCE_KINDS, STILL, Scene
-from ..surfaces import Surface
+from ..surfaces import ImplicitSurface, Surface
 
 SIDES = ("finger", "object")
 LONGEST_PATH = 1e11  # sizes of the body
@@ -142,6 +142,9 @@ def failed(scene: Scene, failure: Failure) -> Exception:
     surface = (contact.finger, scene.object)[failure.side]
     where = f"{failure.t:.9g}"
     reached = f"arc length {where} m" if failure.by_length else f"t = {where} s"
+    place = failure.u, failure.v
+    if failure.code in (STUCK, TOO_MANY_PANELS) and (why := _singular(surface, place)):
+        return ContactSystemError(f"{name}: the motion cannot be continued past {reached}: {why}")
     if failure.code == STUCK:
         why = _accelerated_at_rest(scene, failure) or (
             "the path reaches a singular point of its chart or its surface, or it is so fast, or "
@@ -153,8 +156,7 @@ def failed(scene: Scene, failure: Failure) -> Exception:
         why = _accelerated_at_rest(scene, failure) or (
             f"{_far_away(scene, failure)}shorten the scene, lower the speed, the acceleration or "
             "the surface's curvature, or give a surface of your own a greater size; where the path "
-            "comes to a pole of its chart, or to where a formula has no values, end the scene or "
-            "the disturbance before"
+            "comes to where a formula has no values, end the scene or the disturbance before"
         )
         return ContactSystemError(
             f"{name}: {failure.panels} panels reach {reached} of {failure.end:.9g} only, and the "
@@ -169,7 +171,7 @@ def failed(scene: Scene, failure: Failure) -> Exception:
             "its velocity, sigma or the duration"
         )
     if failure.code == SINGULAR_CHART:
-        return passed(name, surface, (failure.u, failure.v))
+        return passed(name, surface, place)
     if failure.code == SINGULAR_TIME:
         return ChartSingularity(
             f"{name}: {surface!r}: at t = {failure.t:.17g} s the contact is at a singular point of "
@@ -189,6 +191,23 @@ def passed(name: str, surface: Surface, place: tuple[float, float]) -> ContactSy
         f"({place[0]:.9g}, {place[1]:.9g}), where the contact frame turns over; start elsewhere, "
         f"change the direction, end the scene before, or {other}, which needs no chart"
     )
+
+
+def _singular(surface: Surface, place: tuple[float, float]) -> str:
+    """Why no motion goes on at (u, v), and what to do; empty if nothing is singular there."""
+    try:
+        surface.canonical(*place)
+        if isinstance(surface, ImplicitSurface) and surface.is_flat(*place):
+            return (
+                f"{surface!r}: the gradient of F vanishes on the surface; give an F without such "
+                "a power: x**2 + y**2 + z**2 - r**2, not (x**2 + y**2 + z**2 - r**2)**3"
+            )
+    except ChartSingularity as error:
+        end = "or end the scene or the disturbance before"
+        return f"the path comes to a singular point of its chart: {error}, {end}"
+    except SurfaceError:  # the place is not visible from the centre
+        pass
+    return ""
 
 
 def _accelerated_at_rest(scene: Scene, failure: Failure) -> str:

@@ -426,6 +426,14 @@ class ImplicitSurface(UserSurface):
             self._refuse(u.ravel(), v.ravel(), t)
         return (np.array(self.center) + (t * ray).T).reshape((*u.shape, 3))
 
+    def is_flat(self, u: float, v: float) -> bool:
+        """Whether the gradient of F vanishes at (u, v): along the ray it does not just before."""
+        x = self.point(u, v)
+        ray = x - self.center
+        places = np.array([[*x, *ray], [*(x - 1e-4 * ray), *ray]]).T
+        slope, before = run(self.tables.other[RAY], places, self.numbers)[1]
+        return bool(abs(slope) < 1e-3 * abs(before))
+
     def _refuse(self, u: Array, v: Array, t: Array) -> NoReturn:
         """Raise for the first ray that leaves the body at no distance t."""
         i = int(np.argmax(~((t > 0) & (t < math.inf))))
