@@ -299,10 +299,12 @@ class _Search:
             why += (
                 ": paths without slip do, slip leads away from them; raise the gain, or let it roll"
             )
-        elif self._alike():
+        elif self._alike(0.02):
             why = (
-                "the finger and the object have the same Gaussian curvature everywhere, so that a "
-                "place on one body determines the place on the other, and the angle"
+                f"the finger and the object have {'' if self._alike() else 'almost '}the same "
+                "Gaussian curvature everywhere, so that a place on one body determines the place "
+                "on the other, and the angle; choose sizes that differ by more than 2 %, or leave "
+                "parts of the goal out"
             )
         elif self.aim.is_pose:
             why += "; do the bodies touch in that pose, from outside?"
@@ -319,8 +321,12 @@ class _Search:
             f"{self.nearest:.2g} (in sizes, rad) off"
         )
 
-    def _alike(self) -> bool:
-        """Whether K_1 = K_2 everywhere: rolling cannot reach all goals (theory section 11)."""
+    def _alike(self, part: float = 0.0) -> bool:
+        """Whether K_1 = K_2 everywhere: rolling cannot reach all goals (theory section 11).
+
+        part: of the size, by which balls may differ.
+        """
         one, other = self.aim.bodies
         balls = one.great_circles and other.great_circles
-        return (balls and one.size == other.size) or (one.developable and other.developable)
+        near = abs(one.size - other.size) <= part * other.size
+        return (balls and near) or (one.developable and other.developable)
