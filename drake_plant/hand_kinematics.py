@@ -15,6 +15,7 @@ most 1 rad or 1 m.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,12 @@ def add_hand(plant: MultibodyPlant, hand: Hand, scene: Scene, tips: list[RigidBo
         try:
             instances = parser.AddModels(**{kind: hand.model})
         except RuntimeError as error:
-            raise SceneError(f"hand: model = {hand.model!r}: {error}") from None
+            lacks = kind == "file_name" and not Path(hand.model).is_file()
+            why = f"there is no such file, as seen from '{Path.cwd()}'" if lacks else error
+            raise SceneError(
+                f"hand: model = {hand.model!r}: {why}; give an SDF, URDF or MJCF file, or its "
+                "package:// URL in a folder of $ROS_PACKAGE_PATH"
+            ) from None
     else:
         at = [scene.object.point(*contact.object_at) for contact in scene.contacts]
         instances = parser.AddModelsFromString(
