@@ -11,7 +11,7 @@ from pathlib import Path
 import fmpy
 from fmpy.model_description import ModelDescription
 
-from contact_system.checks import did_you_mean, items_of
+from contact_system.checks import did_you_mean, items_of, of_kind
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
@@ -92,14 +92,14 @@ def _structure(
     models: Mapping[str, tuple[str, ModelDescription]], connections: Iterable[tuple[str, str]]
 ) -> str:
     """The text of SystemStructure.ssd (SSP 1.0, section 5), of models' files and descriptions."""
+    pairs = "pairs, of an output and an input"
+    of_kind(Iterable, connections, "connections", pairs, ContactSystemError)
     connectors = {name: _new("Connectors") for name in ("", *models)}
     wires, kinds = _new("Connections"), dict[tuple[str, str], str]()
     for pair in connections:
         ends = items_of(pair)
         if len(ends) != 2 or not all(isinstance(end, str) for end in ends):
-            raise ContactSystemError(
-                f"connections: {pair!r}: give pairs, of an output and an input"
-            )
+            raise ContactSystemError(f"connections: {pair!r}: give {pairs}")
         places = [_place(models, *end) for end in zip(ends, ("output", "input"))]
         types = [kind for _, _, kind in places if kind]
         if not types:
