@@ -333,7 +333,8 @@ def _slip_table(laws: Laws) -> Iterable[str]:
     rows: list[tuple[str, ...]] = []
     for law, r in ((law, r) for law, found in laws.items() for r in found):
         names = plots.gain_text(law.scene.gain), law.scene.contact_name(r.contact)
-        slip = f"{r.start:.3e}", f"{r.peak:.3e}", f"{r.peak_time:.3f}", f"{r.end:.3e}"
+        start = r.start if r.start > 1e-16 * r.peak else 0.0  # less is rounding
+        slip = f"{start:.3e}", f"{r.peak:.3e}", f"{r.peak_time:.3f}", f"{r.end:.3e}"
         timing = ("-", "-", "-", "-")
         if not math.isnan(r.time):
             taken = f"{r.time:.4f}" if math.isfinite(r.time) else f"> {law.end - r.since:g}"

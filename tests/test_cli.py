@@ -54,7 +54,7 @@ def test_every_bundled_scene_runs(name, tmp_path, capsys):
     expected = {".npz", ".csv"} | ({".png"} if name in DRAWN else set())
     assert {p.suffix for p in tmp_path.iterdir()} == expected
     assert all(f"wrote {tmp_path / name}{suffix}" in out for suffix in expected)
-    assert "\n\n\n" not in out and "Note: " not in out
+    assert not any(x in out for x in ("\n\n\n", "Note: ", "e-21"))  # in K2 nothing slips at first
     scene = cs.load_scene(name)
     assert cs.load(tmp_path / f"{name}.npz").scene == scene
     if scene.contacts[0].follows:  # the finger's curve is a great circle to rounding
