@@ -77,7 +77,7 @@ from contact_system.scene import require_scene
 from .config import EDGES, StationConfig, checked
 from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
 from .hand_kinematics import add_hand
-from .meshes import Domain, SurfaceMesh, contact_mesh, domain_of
+from .meshes import SurfaceMesh, contact_mesh, domain_of
 from .pressing import Touch, check_depth, contact_depth, touches_of
 
 # Gap that opens along an edge, in depths. What a facet stands off the surface ripples with the
@@ -92,7 +92,7 @@ from .pressing import Touch, check_depth, contact_depth, touches_of
 # On the object 2.9 is taken: at 3.5 the facets tilt the normals so far that friction, taken along
 # the true normal, reads 2.3 % above mu N in D1 (2.9: 1.7 %, 2.4: 1.2 %).
 # A step of D1 takes 4 us a face, and 21 us without contact.
-FINGER_GAP, OBJECT_GAP = 1.04, 2.9
+GAPS = 1.04, 2.9  # of finger and object
 # The widest gap of edges that somebody gives. At 9 depths the force of D1 has a spread of 0.2 to
 # 0.3 N of 1 N (Drake's own spheres 0.9 N), at 35 fingers bounce, and beyond that contact is lost.
 WIDEST_GAP = 10.0
@@ -225,11 +225,12 @@ def _add(
         builder,
     )
     plant.mutable_gravity_field().set_gravity_vector([0, 0, -config.gravity])
-    object_body = _add_object(plant, scene, config, touches)
-    names, fingers = model_names(scene), []
-    for i, (contact, touch) in enumerate(zip(scene.contacts, touches)):
-        colour = rgba(colour_of(i), OPACITY)
-        fingers.append(_add_finger(plant, names[i], contact.finger, config, touch, colour))
+    colour = rgba(BODY[1], OPACITY if scene.object.inside else 1.0)
+    object_body = _add_body(plant, "object", 1, scene.object, colour, config, touches)
+    fingers = [
+        _add_body(plant, name, 0, contact.finger, rgba(colour_of(i), OPACITY), config, [touch])
+        for i, (name, contact, touch) in enumerate(zip(model_names(scene), scene.contacts, touches))
+    ]
     touching = [plant.GetCollisionGeometriesForBody(body) for body in (object_body, *fingers)]
     carried = CollisionFilterDeclaration().ExcludeWithin(GeometrySet(sum(touching[1:], [])))
     if config.hand is not None:
@@ -309,7 +310,7 @@ def _check_edges(config: StationConfig, touches: Sequence[Touch]) -> None:
         if edge is None or config.contact_model == "point":
             continue
         for i, touch in enumerate(touches):
-            bend = (touch.finger_curvature + touch.object_curvature) / 2
+            bend = sum(touch.curvatures) / 2
             if bend * edge**2 > WIDEST_GAP * depth:
                 raise SceneError(
                     f"{key} = {edge!r}: contact {i}: bodies would stand {bend * edge**2:.2g} m off "
@@ -321,99 +322,60 @@ def _check_edges(config: StationConfig, touches: Sequence[Touch]) -> None:
 # --- bodies ------------------------------------------------------------------------------------
 
 
-def _add_object(
-    plant: MultibodyPlant, scene: Scene, config: StationConfig, touches: Sequence[Touch]
-) -> RigidBody:
-    surface = scene.object
-    curve = np.vstack([touch.object_points for touch in touches])
-    own = float(np.mean([touch.object_curvature for touch in touches]))
-    opposing = max(touch.finger_curvature for touch in touches)
-    domain = mesh = None
-    shape: Shape = HalfSpace()
-    if not isinstance(surface, Plane):
-        lengths = (OBJECT_GAP, config.object_edge)
-        domain, mesh = _mesh(surface, curve, (own, opposing), config, lengths)
-        shape = SphereShape(surface.size) if mesh is None else rigid_mesh(mesh)
-    properties = _material(config)
-    if config.contact_model == "hydroelastic":
-        AddRigidHydroelasticProperties(properties)
-    # A welded or turning object may be a surface that bounds no solid; its inertia has no effect.
-    inertia = SpatialInertia.SolidSphereWithMass(config.object_mass, surface.size)
-    if config.object == "free":
-        inertia = solid_inertia("object", surface, config.object_mass, mesh)
-    colour = rgba(BODY[1], OPACITY if surface.inside else 1.0)
-    return _add_body(plant, "object", inertia, shape, properties, domain, colour)
-
-
-def _add_finger(
-    plant: MultibodyPlant,
-    name: str,
-    surface: Surface,
-    config: StationConfig,
-    touch: Touch,
-    colour: Rgba,
-) -> RigidBody:
-    curvatures = (touch.finger_curvature, touch.object_curvature)
-    lengths = (FINGER_GAP, config.finger_edge)
-    domain, mesh = _mesh(surface, touch.finger_points, curvatures, config, lengths)
-    properties = _material(config)
-    shape: Shape = SphereShape(surface.size)
-    if config.contact_model == "hydroelastic":
-        inner = inner_points(surface)
-        shape = shape if mesh is None else compliant_mesh(mesh, inner, name)
-        hint = surface.size  # Drake asks for one, and ignores it for meshes
-        AddCompliantHydroelasticProperties(hint, _modulus(config, touch, inner), properties)
-    inertia = solid_inertia(name, surface, config.finger_mass, mesh)
-    return _add_body(plant, name, inertia, shape, properties, domain, colour)
-
-
-def _mesh(
-    surface: Surface,
-    curve: Array,
-    curvatures: tuple[float, float],
-    config: StationConfig,
-    lengths: tuple[float, float | None],
-) -> tuple[Domain, SurfaceMesh | None]:
-    """A surface's domain, and its mesh where contact needs one.
-
-    curvatures : mean curvatures of the surface and of the other body, 1/m
-    lengths : depths that open along an edge, or the edge itself, m
-    """
-    own, opposing = curvatures
-    depth = contact_depth(config)
-    patch = math.sqrt(2 * depth / (own + opposing))
-    domain = domain_of(surface, curve, REACH + patch, opposing)
-    if config.contact_model == "point":
-        return domain, None
-    depths, edge = lengths
-    gap = depths * depth if edge is None else (own + opposing) * edge**2 / 2
-    return domain, contact_mesh(domain, curve, opposing, gap, STRIP + patch)
-
-
 def _add_body(
     plant: MultibodyPlant,
     name: str,
-    inertia: SpatialInertia,
-    shape: Shape,
-    properties: ProximityProperties,
-    domain: Domain | None,
+    side: int,
+    surface: Surface,
     colour: Rgba,
+    config: StationConfig,
+    touches: Sequence[Touch],
 ) -> RigidBody:
-    """A body with its contact geometry, painted in two colours so that rolling can be seen."""
+    """A body with its contact geometry, painted in two colours so that rolling can be seen.
+
+    side : 0, a finger with its own touch, or 1, the object with those of all fingers
+    """
+    curve = np.vstack([touch.points[side] for touch in touches])
+    own = float(np.mean([touch.curvatures[side] for touch in touches]))
+    opposing = max(touch.curvatures[1 - side] for touch in touches)
+    depth, edge = contact_depth(config), getattr(config, EDGES[side])
+    patch = math.sqrt(2 * depth / (own + opposing))
+    gap = GAPS[side] * depth if edge is None else (own + opposing) * edge**2 / 2
+    domain = mesh = None
+    shape: Shape = HalfSpace()
+    properties, hydroelastic = _material(config), config.contact_model == "hydroelastic"
+    if not isinstance(surface, Plane):
+        domain = domain_of(surface, curve, REACH + patch, opposing)
+        shape = SphereShape(surface.size)
+        if hydroelastic:
+            mesh = contact_mesh(domain, curve, opposing, gap, STRIP + patch)
+    if hydroelastic and side:
+        AddRigidHydroelasticProperties(properties)
+        shape = shape if mesh is None else rigid_mesh(mesh)
+    elif mesh is not None:
+        inner = inner_points(surface)
+        shape = compliant_mesh(mesh, inner, name)
+        hint = surface.size  # Drake asks for one, and ignores it for meshes
+        AddCompliantHydroelasticProperties(hint, _modulus(config, touches[0], inner), properties)
+    mass = (config.finger_mass, config.object_mass)[side]
+    # A welded or turning object may be a surface that bounds no solid; its inertia has no effect.
+    inertia = SpatialInertia.SolidSphereWithMass(mass, surface.size)
+    if not side or config.object == "free":
+        inertia = solid_inertia(name, surface, mass, mesh)
     body, at = plant.AddRigidBody(name, plant.AddModelInstance(name), inertia), RigidTransform()
     plant.RegisterCollisionGeometry(body, at, shape, name, properties)
     if domain is None:
         plant.RegisterVisualGeometry(body, at, shape, name, colour.rgba)
         return body
-    for k, (mesh, shade) in enumerate(painted(domain, colour)):
-        plant.RegisterVisualGeometry(body, at, mesh, f"{name}_{k}", shade.rgba)
+    for k, (painting, shade) in enumerate(painted(domain, colour)):
+        plant.RegisterVisualGeometry(body, at, painting, f"{name}_{k}", shade.rgba)
     return body
 
 
 def _modulus(config: StationConfig, touch: Touch, inner: Array) -> float:
     """Hydroelastic modulus, Pa, for the stiffness at the normal force, mean over the curve."""
-    below = inner[cKDTree(inner).query(touch.finger_points)[1]]
-    height = np.sum(touch.finger_normals * (touch.finger_points - below), axis=1)
+    below = inner[cKDTree(inner).query(touch.points[0])[1]]
+    height = np.sum(touch.normals * (touch.points[0] - below), axis=1)
     compliance = np.nanmean(1 / (height * touch.openness))
     return config.stiffness**2 / (4 * math.pi * config.normal_force * float(compliance))
 

@@ -163,17 +163,15 @@ def depth_between(nominal: Surface, planned: Surface) -> float:
 class Touch:
     """Where two bodies are planned to touch, and how they curve there.
 
-    finger_points, object_points : (m, 3), each in its body's frame, m
-    finger_normals : (m, 3), out of the finger; NaN where its chart has no frame
-    finger_curvature, object_curvature : mean curvatures, mean over the curve, 1/m
+    points : (2, m, 3), on finger and object, each in its body's frame, m
+    normals : (m, 3), out of the finger; NaN where its chart has no frame
+    curvatures : (2,), mean curvatures of finger and object, mean over the curve, 1/m
     openness : (m,), sqrt(det(K_1 + R K_2 R)), 1/m; NaN where a chart has no frame
     """
 
-    finger_points: Array
-    object_points: Array
-    finger_normals: Array
-    finger_curvature: float
-    object_curvature: float
+    points: Array
+    normals: Array
+    curvatures: list[float]
     openness: Array
 
 
@@ -207,18 +205,10 @@ def touches_of(scene: Scene) -> list[Touch]:
                 f"contact {i}: finger and object {what} where they are planned to touch (the "
                 f"least relative curvature is {least:.3g} 1/m); {remedy}"
             )
-        finger_points, object_points = points[:, i].swapaxes(0, 1)
-        normals = contact.finger.normal(*contact.finger.coordinates(finger_points))
-        touches.append(
-            Touch(
-                finger_points,
-                object_points,
-                normals,
-                finger_curvature=_mean_curvature(contact.finger, finger_points[known]),
-                object_curvature=_mean_curvature(scene.object, object_points[known]),
-                openness=np.sqrt(np.linalg.det(relative)),
-            )
-        )
+        at, bodies = points[:, i].swapaxes(0, 1), (contact.finger, scene.object)
+        normals = contact.finger.normal(*contact.finger.coordinates(at[0]))
+        bends = [_mean_curvature(body, x[known]) for body, x in zip(bodies, at)]
+        touches.append(Touch(at, normals, bends, np.sqrt(np.linalg.det(relative))))
     return touches
 
 
