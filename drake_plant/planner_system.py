@@ -219,9 +219,6 @@ class ContactPlanner(_Convertible, LeafSystem):
 
         The last derivatives of a step tell whether its end is near a singular point.
         """
-        clears, scratches = "x" in self.system.depends("clearance"), self._scratches
-        longest = self.system.scene.duration / LOOKS
-        check_clearance, check_drift = weakly(self._CheckClearance), weakly(self._CheckDrift)
         # Numbers, 0 until they are set: Drake copies Contexts without Python's lock when it
         # evaluates batches, and a Python object in one would end the process.
         begun = BasicVector(np.zeros(2 + 9 * len(self.system.scene.contacts)))
@@ -229,20 +226,20 @@ class ContactPlanner(_Convertible, LeafSystem):
         entry = self.DeclareCacheEntry("begun", producer, {self.nothing_ticket()})
         self._begun = entry.cache_index()
         self.DeclareInitializationPublishEvent(weakly(self._Begin))
+        self.DeclarePerStepPublishEvent(weakly(self._Watch))
 
-        def watch(context: Any) -> None:
-            own = scratches.own
-            if clears and not own.clearance[0] > NEARBY:
-                check_clearance(context)
-            if (t := context.get_time()) >= own.look:
-                own.look = t + min(t - own.began, longest)
-                check_drift(context)
-
-        self.DeclarePerStepPublishEvent(watch)
-
-    def _CheckClearance(self, context: Any) -> None:
-        if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
-            refuse_singularity(self.system, *self._scratches.own.given)
+    def _Watch(self, context: Any) -> None:
+        own, t = self._scratches.own, context.get_time()
+        if not own.clearance[0] > NEARBY:
+            if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
+                refuse_singularity(self.system, *own.given)
+        if t < own.look:
+            return
+        own.look = t + min(t - own.began, self.system.scene.duration / LOOKS)
+        plan = self._Exact(context)
+        if plan is not None:
+            points = self._Parts(context, "contact_point")[0]
+            refuse_drift(self.system.scene, plan, t, points, self._tolerance)
 
     def _Begin(self, context: Any) -> None:
         """From now on contacts are compared with the plan from the state that a Context has."""
@@ -288,12 +285,6 @@ class ContactPlanner(_Convertible, LeafSystem):
         state = begun[2:].tobytes() if begun[0] == 2.0 else b""
         plan = self._exact(float(begun[1]), state, max(t, self.system.scene.duration))
         return plan if plan is not None and plan.start <= t <= plan.end else None
-
-    def _CheckDrift(self, context: Any) -> None:
-        plan = self._Exact(context)
-        if plan is not None:
-            points, t = self._Parts(context, "contact_point")[0], context.get_time()
-            refuse_drift(self.system.scene, plan, t, points, self._tolerance)
 
     # --- what Drake calls ----------------------------------------------------------------------
 
