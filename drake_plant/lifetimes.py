@@ -44,7 +44,8 @@ def array_entry(
 ) -> tuple[DependencyTicket, Callable[[Context], Array]]:
     """Declare a cache entry for the array that a system's method computes from a Context.
 
-    Returns its ticket, and a function that gives a Context's array, which must not be written.
+    Returns its ticket, and a function that gives a Context's array; what is written there stays
+    until it is computed again.
 
     A vector holds it: Drake copies Contexts without Python's lock when it evaluates batches, and a
     Python object in one would end the process.
@@ -58,7 +59,8 @@ def array_entry(
     producer = ValueProducer(lambda: AbstractValue.Make(zeros), fill)
     entry = system.DeclareCacheEntry(calc.__name__, producer, set(needs))
     index, owner = entry.cache_index(), weakref.proxy(system)
-    return (
-        entry.ticket(),
-        lambda context: owner.get_cache_entry(index).Eval(context).value().reshape(shape),
-    )
+
+    def array(context: Context) -> Array:
+        return owner.get_cache_entry(index).Eval(context).get_mutable_value().reshape(shape)
+
+    return entry.ticket(), array

@@ -10,15 +10,8 @@ from typing import Any
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
-from pydrake.common.value import AbstractValue
 from pydrake.symbolic import Expression
-from pydrake.systems.framework import (
-    BasicVector,
-    LeafSystem,
-    LeafSystem_,
-    SystemScalarConverter,
-    ValueProducer,
-)
+from pydrake.systems.framework import LeafSystem, LeafSystem_, SystemScalarConverter
 
 from contact_system import Plan, Scene
 from contact_system.checks import Array, finite_number
@@ -26,7 +19,7 @@ from contact_system.errors import SceneError
 from contact_system.planning.starts import on_branch
 
 from .config import LOOK
-from .lifetimes import NO_DICTIONARY, weakly
+from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plan_check import (
     CLEARANCE,
     LOOKS,
@@ -204,7 +197,10 @@ class ContactPlanner(_Convertible, LeafSystem):
         self._Declare(system, system.x0, period)
         self._scratches = PerThread(partial(Scratch, system), {})
         self._exact = functools.lru_cache(maxsize=16)(partial(exact_plan, scene))
-        self._DeclareWatch()
+        size = 2 + 9 * len(scene.contacts)
+        _, self._begun = array_entry(self._CalcBegun, (size,), {self.nothing_ticket()})
+        self.DeclareInitializationPublishEvent(weakly(self._Begin))
+        self.DeclarePerStepPublishEvent(weakly(self._Watch))
 
     def Evaluate(self, context: Any, *outputs: str) -> Array:
         found = super().Evaluate(context, *outputs)
@@ -214,21 +210,11 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     # --- what is refused at the end of a step -----------------------------------------------------
 
-    def _DeclareWatch(self) -> None:
+    def _Watch(self, context: Any) -> None:
         """Look at ends of steps alone: a trial step that error control takes back may go anywhere.
 
         The last derivatives of a step tell whether its end is near a singular point.
         """
-        # Numbers, 0 until they are set: Drake copies Contexts without Python's lock when it
-        # evaluates batches, and a Python object in one would end the process.
-        begun = BasicVector(np.zeros(2 + 9 * len(self.system.scene.contacts)))
-        producer = ValueProducer(lambda: AbstractValue.Make(begun), lambda _, value: None)
-        entry = self.DeclareCacheEntry("begun", producer, {self.nothing_ticket()})
-        self._begun = entry.cache_index()
-        self.DeclareInitializationPublishEvent(weakly(self._Begin))
-        self.DeclarePerStepPublishEvent(weakly(self._Watch))
-
-    def _Watch(self, context: Any) -> None:
         own, t = self._scratches.own, context.get_time()
         if not own.clearance[0] > NEARBY:
             if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
@@ -240,6 +226,10 @@ class ContactPlanner(_Convertible, LeafSystem):
         if plan is not None:
             points = self._Parts(context, "contact_point")[0]
             refuse_drift(self.system.scene, plan, t, points, self._tolerance)
+
+    def _CalcBegun(self, context: Any) -> Array:
+        """What a Context has until `_Follow` writes: no simulation has begun."""
+        return np.zeros(2 + 9 * len(self.system.scene.contacts))
 
     def _Begin(self, context: Any) -> None:
         """From now on contacts are compared with the plan from the state that a Context has."""
@@ -269,15 +259,14 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     def _Follow(self, context: Any, state: Array | None) -> None:
         """Compare from now on with the plan from this state, or with that of the scene."""
-        numbers = np.zeros(2 + 9 * len(self.system.scene.contacts))
-        numbers[0] = 1.0 if state is None else 2.0
+        begun = self._begun(context)
+        begun[:2] = 1.0 if state is None else 2.0, context.get_time()
         if state is not None:
-            numbers[1], numbers[2:] = context.get_time(), state
-        self.get_cache_entry(self._begun).Eval(context).SetFromVector(numbers)
+            begun[2:] = state
 
     def _Exact(self, context: Any) -> Plan | None:
         """The plan from where contacts began, where it is known now."""
-        begun = self.get_cache_entry(self._begun).Eval(context).value()
+        begun = self._begun(context)
         t, port = context.get_time(), self._disturbance
         # nobody has initialized this one, or knows what comes
         if not begun[0] or (port is not None and port.HasValue(context)):
