@@ -310,20 +310,14 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
     acting = np.array([*itertools.chain(*disturbed), *pushes]).reshape(-1, 2)
     early = t < acting[:, 0].min(initial=math.inf)
     steady = (t >= EDGE) & (np.abs(t[:, None] - acting.ravel()) > EDGE).all(1)
-    speed = contact_speed(result.scene, result.planned["state"])
-    apart = np.linalg.norm(misses(result), axis=2)
-    off = time_off(result).sum(0)
+    off, reports = time_off(result).sum(0), []
     kept = not off.any() and not object_report(result).falls
-    return [
-        ContactReport(
-            name=result.scene.contact_name(i),
-            off=float(off[i]),
-            kept=kept,
-            **_rolling(result, i, early, steady, speed[:, i], apart[:, i]),
-            **_rejection(result, i, own, acting[:, 0], early),
-        )
-        for i, own in enumerate(disturbed)
-    ]
+    for i, own in enumerate(disturbed):
+        found = _rolling(result, i, early, steady)
+        found |= _rejection(result, i, own, acting[:, 0], found["slip_before"])
+        name = result.scene.contact_name(i)
+        reports.append(ContactReport(name=name, off=float(off[i]), kept=kept, **found))
+    return reports
 
 
 def hand_report(result: HandResult) -> HandReport:
@@ -383,12 +377,6 @@ def misses(result: SimulationResult) -> Array:
     return result.measured["contact_point"] - first
 
 
-def contact_speed(scene: Scene, states: Array) -> Array:
-    """Speed of the contact points on the object, |M2 q2'|: (m, n, 9) -> (m, n), m/s."""
-    root = scene.object.metric_root(states[..., 4], states[..., 5])
-    return np.linalg.norm(np.einsum("...ij,...j->...i", root, states[..., 6:8]), axis=-1)
-
-
 def recovery_time(t: Array, slip: Array, since: float, level: float) -> float:
     """How long after a time a signal last lies at a level or above, s: 0 if it never does, inf if
     it does at the end, or is not seen after that time."""
@@ -400,12 +388,7 @@ def recovery_time(t: Array, slip: Array, since: float, level: float) -> float:
 
 
 def _rolling(
-    result: SimulationResult,
-    i: int,
-    early: NDArray[np.bool_],
-    steady: NDArray[np.bool_],
-    speed: Array,
-    apart: Array,
+    result: SimulationResult, i: int, early: NDArray[np.bool_], steady: NDArray[np.bool_]
 ) -> dict[str, Any]:
     """Forces of one contact; slip and where it is while nothing has been disturbed yet."""
     t, before, time = result.t, early & (result.t >= EDGE), durations(result)
@@ -416,6 +399,9 @@ def _rolling(
     slip, of_plan = (
         np.linalg.norm(said["slip"][:, i], axis=1) for said in (result.measured, result.planned)
     )
+    states, obj = result.planned["state"][:, i], result.scene.object
+    root = obj.metric_root(states[:, 4], states[:, 5])
+    speed = np.linalg.norm(np.einsum("mij,mj->mi", root, states[:, 6:8]), axis=1)  # on the object
     slips = of_plan > ROLLS * result.scene.speeds(t)[:, i]
     moves = before & ~slips & (speed > STANDING * speed.max())  # a path may start or end at rest
     return {
@@ -428,7 +414,7 @@ def _rolling(
         "rolling_friction": _mean(friction[before & ~slips], time[before & ~slips]),
         "rolling_slip": _mean(slip[moves] / speed[moves], time[moves]),
         "slip_before": _greatest(slip[before]),
-        "distance": _greatest(apart[before]),
+        "distance": _greatest(np.linalg.norm(misses(result)[before, i], axis=1)),
     }
 
 
@@ -437,11 +423,12 @@ def _rejection(
     i: int,
     disturbed: list[tuple[float, float]],
     begins: Array,
-    early: NDArray[np.bool_],
+    before: float,
 ) -> dict[str, Any]:
     """What the last disturbance did, if it was seen and is over.
 
     begins : when anything begins to act on any body, s
+    before : greatest slip before any disturbance, m/s
     """
     t, slip = result.t, np.linalg.norm(result.measured["slip"][:, i], axis=1)
     bodies = (result.scene.contact_name(i), "object")
@@ -460,7 +447,7 @@ def _rejection(
     # A finger that is off the object, or that nothing holds, has no friction to saturate.
     at_limit = (friction >= SATURATED * limit) & (limit > 0)
     time = durations(result)[during]
-    mean, before = _mean(slip[during], time), _greatest(slip[early & (t >= EDGE)])
+    mean = _mean(slip[during], time)
     level = np.fmax(REJECTED * mean, before)
     sliding = (slip > np.fmax(SLIDING * before, CREEPING)) & (normal > 0)
     slid = bool((at_limit | sliding)[seen].any())
