@@ -135,7 +135,7 @@ def build(
     builder.ExportInput(monitor.GetInputPort("noise"), "noise")
     if config.disturbance_input:
         builder.ExportInput(planner.GetInputPort("disturbance"), "disturbance")
-    _export(builder, planner, driver, monitor, parts)
+    _export(builder, parts, planner, driver, monitor)
     if extend is not None:
         extend(builder, parts)
     return builder.Build(), parts
@@ -224,18 +224,14 @@ def PushSource(scene: Scene, pushes: Sequence[Push], time_step: float = 0.0) -> 
     return TrajectorySource(held)
 
 
-def _export(
-    builder: DiagramBuilder,
-    planner: PlannerBase,
-    driver: FingertipDriver,
-    monitor: ContactMonitor,
-    parts: ScenePlant,
-) -> None:
-    for system in (planner, driver, monitor):
-        for i in range(system.num_output_ports()):
-            port = system.get_output_port(i)
-            taken = system is monitor and planner.HasOutputPort(port.get_name())
-            builder.ExportOutput(port, "measured_" * taken + port.get_name())
+def _export(builder: DiagramBuilder, parts: ScenePlant, *systems: LeafSystem) -> None:
+    """Export outputs, measured ones by another name where a system before has that."""
+    taken: set[str] = set()
+    for system in systems:
+        names = [system.get_output_port(i).get_name() for i in range(system.num_output_ports())]
+        for name in names:
+            builder.ExportOutput(system.GetOutputPort(name), "measured_" * (name in taken) + name)
+        taken.update(names)
     plant, instance = parts.plant, parts.object_body.model_instance()
     builder.ExportOutput(plant.get_state_output_port(), "plant_state")
     builder.ExportOutput(plant.get_state_output_port(instance), "object_state")
