@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, Role, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.meshcat import ContactVisualizer, ContactVisualizerParams
@@ -199,7 +198,7 @@ def draw(meshcat: Meshcat, result: SimulationResult) -> None:
         meshcat.SetCameraPose(HAND_VIEW, [0.0, 0.0, -0.6 * scene.object.size])
         return
     middle = look_at(meshcat, scene, result.measured["contact_point"])
-    for frame, X in enumerate(_views(result, acting, middle, times, frames)):
+    for frame, X in enumerate(_views(result, middle, times)):
         recording.SetTransform(frame, FILM, X)
 
 
@@ -241,14 +240,9 @@ def _ribbon(points: Array, normals: Array, width: float) -> tuple[Array, Array]:
     return np.asfortranarray(vertices.T), np.asfortranarray(faces.T.astype(np.int32))
 
 
-def _views(
-    result: SimulationResult,
-    acting: list[Acting],
-    middle: Array,
-    times: Array,
-    frames: NDArray[np.int64],
-) -> Iterator[RigidTransform]:
+def _views(result: SimulationResult, middle: Array, times: Array) -> Iterator[RigidTransform]:
     """Where the film is put at each frame, so that the camera may stand still."""
+    frames, acting = np.searchsorted(result.t, times), disturbances(result)
     at = result.measured["state"][frames]
     normals = result.scene.object.normal(at[..., 4], at[..., 5])
     fingers = [event for event in acting if event[0] is not None] or [(0, 0.0, 0.0)]
