@@ -107,10 +107,10 @@ def build(
     parts = AddScenePlant(builder, scene, config)
     planned = rolling_scene(scene, config)
     planner = builder.AddNamedSystem("planner", _planner(planned, config))
-    start = _finger_poses(planner, planner.CreateDefaultContext(), scene, config)
+    driver = builder.AddNamedSystem("driver", FingertipDriver(parts))
+    start = _finger_poses(planner, planner.CreateDefaultContext(), driver)
     for body, X_OF in zip(parts.finger_bodies, start):
         parts.plant.SetDefaultFloatingBaseBodyPose(body, X_OF)
-    driver = builder.AddNamedSystem("driver", FingertipDriver(parts))
     monitor = _add_monitor(builder, parts, planned, driver)
     plant = parts.plant
     wire(builder, planner, driver, "motion")
@@ -303,7 +303,7 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     R_WO = X_WO.rotation()
     twist, change = (planner.GetOutputPort(name).Eval(now) for name in ("twist", "acceleration"))
     twists = (twist - ago * change).reshape(-1, 6)
-    poses = _finger_poses(planner, now, scene, config, forces)
+    poses = _finger_poses(planner, now, driver, forces)
     for index, X_OF, twist in zip(driver.finger_indices, poses, twists):
         body = plant.get_body(BodyIndex(index))
         V_OF_W = SpatialVelocity(twist[:3], twist[3:]).Rotate(R_WO)
@@ -330,23 +330,16 @@ def _started(station: Diagram) -> list[Any]:
 
 
 def _finger_poses(
-    planner: PlannerBase,
-    context: Context,
-    nominal: Scene,
-    config: StationConfig,
-    forces: Array | None = None,
+    planner: PlannerBase, context: Context, driver: FingertipDriver, forces: Array | None = None
 ) -> list[RigidTransform]:
     """X_OF as planned, each finger pressed in by the depth of its force on the nominal surfaces."""
-    planned, poses = planner.system.scene, planner.GetOutputPort("pose").Eval(context)
+    config, poses = driver.config, planner.GetOutputPort("pose").Eval(context)
     normals = planner.GetOutputPort("normal").Eval(context).reshape(-1, 3)
-    of_object = depth_between(nominal.object, planned.object)
-    sunk = [
-        contact_depth(config, None if forces is None else forces[i])
-        - of_object
-        - depth_between(contact.finger, planned.contacts[i].finger)
-        for i, contact in enumerate(nominal.contacts)
-    ]
+    if forces is None:
+        forces = np.full(len(poses), config.normal_force)
+    pairs = zip(driver.scene.surfaces, planner.system.scene.surfaces)
+    of_object, *of_fingers = (depth_between(nominal, planned) for nominal, planned in pairs)
     return [
-        RigidTransform(X.rotation(), X.translation() - d * n)
-        for X, n, d in zip(poses, normals, sunk)
+        RigidTransform(X.rotation(), X.translation() - (contact_depth(config, force) - d) * n)
+        for X, n, force, d in zip(poses, normals, forces, of_object + np.array(of_fingers))
     ]
