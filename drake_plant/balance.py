@@ -148,12 +148,7 @@ def friction_used(forces: ArrayLike, normals: ArrayLike, friction: ArrayLike) ->
 
 
 def needed_wrench(
-    inertia: SpatialInertia,
-    gravity: ArrayLike,
-    R_WO: Array,
-    w_WO: ArrayLike,
-    alpha_WO: ArrayLike,
-    a_WO: ArrayLike,
+    inertia: SpatialInertia, gravity: ArrayLike, R_WO: Array, V_WO: ArrayLike, A_WO: ArrayLike
 ) -> tuple[Array, Array]:
     """Force, and torque about the origin, in O, that move an object as planned against gravity.
 
@@ -164,18 +159,16 @@ def needed_wrench(
     gravity : (3,)
         In the world, m/s^2.
     R_WO : (m, 3, 3)
-    w_WO, alpha_WO, a_WO : (m, 3) or (3,)
-        Angular velocity and acceleration and the origin's acceleration, in the world.
+    V_WO, A_WO : (m, 6) or (6,)
+        Velocity and acceleration of the origin, the angular part first, in the world.
 
     Returns
     -------
     (m, 3), (m, 3)
         N and N m.
     """
-    w, alpha, a = (
-        np.einsum("mji,...mj->...mi", R_WO, np.broadcast_to(x, (len(R_WO), 3)))
-        for x in (w_WO, alpha_WO, np.subtract(a_WO, gravity))
-    )
+    parts = np.hstack([V_WO, A_WO]).reshape(-1, 4, 3) - np.multiply.outer([0, 0, 0, 1], gravity)
+    w, _, alpha, a = np.einsum("mji,mkj->kmi", R_WO, parts)
     mass, center = inertia.get_mass(), inertia.get_com()
     about = inertia.CalcRotationalInertia().CopyToFullMatrix3()
     force = mass * (a + np.cross(alpha, center) + np.cross(w, np.cross(w, center)))
@@ -309,11 +302,11 @@ class ForceBalancer(LeafSystem):
     def _CalcFound(self, context: Context) -> Array:
         X_WO = self._poses.Eval(context)[self._index]
         V_WO = self._velocities.Eval(context)[self._index].get_coeffs()
-        R_WO, w, config = X_WO.rotation().matrix(), V_WO[:3], self._config
+        R_WO, config = X_WO.rotation().matrix(), self._config
         rate, X_WP = config.object_rate, context.get_abstract_parameter(0).get_value()
         # back to the object's place
-        alpha, a = np.split(rate * (rate * way_to(X_WP, X_WO) - 2 * V_WO), 2)
-        force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], w, alpha, a)
+        A_WO = rate * (rate * way_to(X_WP, X_WO) - 2 * V_WO)
+        force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], V_WO, A_WO)
         points = self._points.Eval(context).reshape(1, -1, 6)[..., 3:]
         normals = -self._normals.Eval(context).reshape(1, -1, 3)
         forces = balancing_forces(

@@ -190,8 +190,8 @@ class FingertipDriver(LeafSystem):
         """A_WO of the object by gravity and its contacts, whose forces are none if it is welded."""
         if not contact.size:
             return np.zeros(6)
-        R_WO, w, rest = X_WO.rotation().matrix(), V_WO.rotational(), np.zeros(3)
-        force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], w, rest, rest)
+        R_WO, V = X_WO.rotation().matrix(), V_WO.get_coeffs()
+        force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], V, np.zeros(6))
         acts = contact.reshape(2, 3) @ R_WO - np.vstack([torque, force])
         A_WO = np.linalg.solve(self._inertia.CopyToFullMatrix6(), acts.ravel())
         return (A_WO.reshape(2, 3) @ R_WO.T).ravel()

@@ -309,7 +309,7 @@ def _planned(
 
     def pressing(k: Any, V: Array, A: Array) -> Array:
         """Forces that move the object so at the times of numbers k."""
-        wrench = needed_wrench(inertia, down, R[k], V[:, :3], A[:, :3], A[:, 3:])
+        wrench = needed_wrench(inertia, down, R[k], V, A)
         wanted = [np.einsum("mij,mj->mi", R[k], part) for part in wrench]
         contacts = arms[k], normals[k], mu
         return balancing_forces(*contacts, *wanted, margin=margin, least=least, t=t[k])

@@ -89,7 +89,7 @@ def test_normals_and_wrenches_have_the_sizes_that_are_asked_for():
 def test_needed_wrench_is_that_of_newton_and_euler():
     turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])[None]  # O's x is the world's y
     body, down = SpatialInertia(2.0, np.zeros(3), UnitInertia(0.5, 1.0, 1.5)), [0, 0, -9.81]
-    force, torque = needed_wrench(body, down, turned, [0.0, 2, 3], [0.5, 0, 0], [0, 1.0, 0])
+    force, torque = needed_wrench(body, down, turned, [0, 2, 3, 0, 0, 0], [0.5, 0, 0, 0, 1, 0])
     np.testing.assert_allclose(force, [[2.0, 0, 2 * 9.81]], atol=1e-7)
     # in O: w = (2, 0, 3), alpha = (0, -0.5, 0), w x I w = (0, 3 2 - 2 9, 0)
     np.testing.assert_allclose(torque, [[0, 2 * -0.5 + 6 - 18, 0]], atol=1e-7)
