@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import collections
 import contextlib
-import itertools
 import os
 import shutil
 import tempfile
@@ -74,13 +73,12 @@ class Moment:
     time: float
     stepped: bool
     values: list[Array]
-    key: int | None
 
     def __deepcopy__(self, memo: Any) -> Moment:
         return self
 
     def __del__(self) -> None:
-        self._instance.forget(self.key)
+        self._instance.forget(id(self))
 
 
 class Instance:
@@ -91,8 +89,7 @@ class Instance:
         self._at: Moment | None = None  # where the FMU is
         self._running = False
         self._turn = threading.RLock()  # FMI allows no calls of one FMU at the same time
-        self._states: dict[int, c_void_p] = {}  # the FMU's own copies of its state
-        self._keys = itertools.count()
+        self._states: dict[int, c_void_p] = {}  # the FMU's own copies, by the Moment's id
         self._log: collections.deque[tuple[int, str]] = collections.deque(maxlen=20)
         self._start_values: Mapping[str, Any] = {}
         self._outputs: list[PortVariables] = []
@@ -230,18 +227,16 @@ class Instance:
     def _here(self, time: float, stepped: bool) -> Moment:
         """The moment at which the FMU is."""
         values = [block.read(self._fmu) for block in self._outputs]
-        key = None
+        self._at = moment = Moment(self, time, stepped, values)
         if self.keeps_states:
-            key = next(self._keys)
-            self._states[key] = self._fmu.getFMUState()
-        self._at = moment = Moment(self, time, stepped, values, key)
+            self._states[id(moment)] = self._fmu.getFMUState()
         return moment
 
     def _go_to(self, moment: Moment) -> None:
         """Bring the FMU back to a moment, if it is not there."""
         if self._at is moment:
             return
-        state = None if moment.key is None else self._states.get(moment.key)
+        state = self._states.get(id(moment))
         if state is None:
             why = "it has been reloaded since"
             if not self.keeps_states:
@@ -256,10 +251,10 @@ class Instance:
             self._fmu.setFMUState(state)
         self._at, self._running = moment, True
 
-    def forget(self, key: int | None) -> None:
-        """Give back the FMU's copy of its state."""
+    def forget(self, moment: int) -> None:
+        """Give back the FMU's copy of its state, by the Moment's id."""
         with self._turn:
-            state = None if key is None else self._states.pop(key, None)
+            state = self._states.pop(moment, None)
             if state is not None:
                 with contextlib.suppress(FMICallException):
                     self._fmu.freeFMUState(state)
@@ -317,8 +312,8 @@ class Instance:
             _LISTENING.log = outside
 
     def _free(self) -> None:
-        for key in list(self._states):
-            self.forget(key)
+        for moment in list(self._states):
+            self.forget(moment)
         fmu, self._fmu, self._at = self._fmu, None, None
         if fmu is not None:
             if self._running:
