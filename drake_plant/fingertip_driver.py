@@ -3,11 +3,6 @@ r"""Forces that move free fingertips as planned relative to a moving object.
 A fingertip is a free body, whose wrench is the law of `tip_law`. Along the normal that has only a
 damper here, so that the contact itself decides how far the finger sinks in. Slip is rejected with
 the planned curve held: to plan anew from where a pushed finger is adds slip.
-
-In a discrete plant (semi-implicit Euler, step h) a velocity at t_k moved the body from t_{k-1} to
-t_k, so the velocity to track is that of half a step ago; the object's, which is measured, is that
-already. The error lives in a frame that turns with the contact normal at Omega = n x n'.
-docs/drake-contact.md says what each term is worth.
 """
 
 from __future__ import annotations
@@ -15,7 +10,6 @@ from __future__ import annotations
 import math
 from copy import copy
 from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -28,61 +22,18 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from contact_system import Scene, SceneError
 from contact_system.checks import Array, of_kind
-from contact_system.theory import symbols as ca
-from contact_system.theory.lowering import Table
-from contact_system.theory.symbols import per_structure
 
 from .balance import needed_wrench
 from .lifetimes import NO_DICTIONARY, weakly
 from .planner_base import MOTION
 from .plant import MOTIONS, ScenePlant, declare_plant_inputs, gravity_on
-from .scratch import FingerTables, PerThread, named, split
-from .tip_law import CONSTANT, SHARE, TIP, tip_constants, tip_wrench
+from .scratch import FingerTables, PerThread
+from .tip_law import POINT, SHARE, driving_law, tip_constants
 
 ROUNDING = 1e-9
 """Of a time that is a sum of steps."""
 OFF = 1e-4
 """Of a finger's size, how far its mass centre may be from its origin."""
-
-
-POINT = {"X_WO": 12, "V_WO": 6, "A_WO": 6, **TIP, "motion": sum(MOTION.values())}
-POINT |= {"sliding": 3, "push": 3, "normal_force": 1}
-"""What a step's law is made of."""
-
-
-@per_structure
-def driving_law() -> Table:
-    """Table of one finger: `POINT`, `CONSTANT` -> torque (3), force (3), in the world."""
-    point, x = named(POINT)
-    constant, c = named(CONSTANT)
-    plan = split(x.motion, MOTION)
-    x.R_OF, x.p_OF = ca.reshape(plan["pose"][:9], 3, 3), plan["pose"][9:]
-    x.w_OF, x.v_OF = ca.vertsplit(plan["twist"], 3)
-    x.alpha_OF, x.a_OF = ca.vertsplit(plan["acceleration"], 3)
-    x.normal, x.normal_rate = plan["normal"], plan["normal_rate"]
-    x.point, x.slip = plan["contact_point"][:3], x.R_WO @ x.sliding
-    wanted = _desired_motion(x, c.h)
-    x.contact_force -= x.normal_force * wanted.normal
-    wrench = tip_wrench(x, wanted, c) + ca.vertcat(0, 0, 0, x.push)
-    return Table(ca.Function("driving", [point, constant], [ca.densify(wrench)]))
-
-
-def _desired_motion(x: SimpleNamespace, h: ca.SX) -> SimpleNamespace:
-    """The plan carried by the object, in the world, as a discrete plant needs it: `WANTED`.
-
-    Place and acceleration are those of now; the velocity is that which brought the finger here.
-    """
-    cross = ca.cross
-    off, v, spin = x.R_WO @ x.p_OF, x.R_WO @ x.v_OF, x.R_WO @ x.w_OF
-    p, R, swept = x.p_WO + off, x.R_WO @ x.R_OF, cross(x.w_WO, off)
-    bend = cross(x.w_WO, swept + 2 * v) + x.R_WO @ x.a_OF
-    turn = cross(x.w_WO, spin) + x.R_WO @ x.alpha_OF
-    ago, w = x.v_WO + swept + v - 0.5 * h * bend, x.w_WO + spin - 0.5 * h * turn
-    a, alpha = x.a_WO + cross(x.alpha_WO, off) + bend, x.alpha_WO + turn
-    normal, arm = x.R_WO @ x.normal, R @ x.point
-    turning = x.R_WO @ cross(x.normal, x.normal_rate) + x.w_WO - ca.dot(x.w_WO, normal) * normal
-    motion = {"p_WT": p, "R_WT": R, "w_WT": w, "v_WT": ago, "alpha_WT": alpha, "a_WT": a}
-    return SimpleNamespace(**motion, normal=normal, turning=turning, arm=arm)
 
 
 class FingertipDriver(LeafSystem):

@@ -20,31 +20,17 @@ from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 from contact_system import SceneError
 from contact_system.checks import Array
-from contact_system.theory import symbols as ca
-from contact_system.theory.lowering import Table
-from contact_system.theory.symbols import per_structure
 
 from .hand_kinematics import Chains, cross, moving_joints, way_to
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs
 from .reorientation import Reorientation
-from .scratch import FingerTables, PerThread, named
-from .tip_law import CONSTANT, TIP, WANTED, tip_constants, tip_wrench
+from .scratch import FingerTables, PerThread
+from .tip_law import HELD, holding_law, tip_constants
 
 POSTURE = 30.0  # 1/s, omega
 CORRECTION = 8.0  # 1/s, of what the object is off its path
 AWAY = 1e-3  # rad or m, of joints that are not where a simulation begins
-
-HELD = {**TIP, "slip": 3, **WANTED}
-"""What the law of a tip on joints is made of."""
-
-
-@per_structure
-def holding_law() -> Table:
-    """Table of one tip on joints: `HELD`, `CONSTANT` -> torque (3), force (3), in the world."""
-    point, x = named(HELD)
-    constant, c = named(CONSTANT)
-    return Table(ca.Function("holding", [point, constant], [ca.densify(tip_wrench(x, x, c))]))
 
 
 class HandDriver(LeafSystem):

@@ -9,6 +9,11 @@ object wherever it is measured to be, and along the normal it has a damper alone
 contact decides how far the finger sinks in: ``hold = 0``. If all did so on a hand nothing would
 keep the object in its place. Tips on joints hold it: what they want stays in the world, and the
 spring acts along the normal too, ``hold = 1``.
+
+In a discrete plant (semi-implicit Euler, step h) a velocity at t_k moved the body from t_{k-1} to
+t_k, so the velocity to track is that of half a step ago; the object's, which is measured, is that
+already. The error lives in a frame that turns with the contact normal at Omega = n x n'.
+docs/drake-contact.md says what each term is worth.
 """
 
 from __future__ import annotations
@@ -20,9 +25,13 @@ import numpy as np
 from pydrake.multibody.tree import RigidBody
 
 from contact_system.theory import symbols as ca
+from contact_system.theory.lowering import Table
+from contact_system.theory.symbols import per_structure
 
 from .config import GAINS
+from .planner_base import MOTION
 from .plant import ScenePlant, gravity_on
+from .scratch import named, split
 
 SHARE = 0.4
 """Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
@@ -39,25 +48,70 @@ WANTED = {"X_WT": 12, "V_WT": 6, "A_WT": 6, "normal": 3, "turning": 3, "arm": 3}
 that turns, and the contact point from the tip's origin."""
 CONSTANT = {"h": 1, "mass": 1, "inertia": 9, "gravity": 3}
 CONSTANT |= dict.fromkeys((*GAINS, "slip_gain", "hold"), 1)
+POINT = {"X_WO": 12, "V_WO": 6, "A_WO": 6, **TIP, "motion": sum(MOTION.values())}
+POINT |= {"sliding": 3, "push": 3, "normal_force": 1}
+"""What a step's law is made of."""
+HELD = {**TIP, "slip": 3, **WANTED}
+"""What the law of a tip on joints is made of."""
 
 
-def tip_wrench(x: SimpleNamespace, wanted: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
+@per_structure
+def driving_law() -> Table:
+    """Table of one finger: `POINT`, `CONSTANT` -> torque (3), force (3), in the world."""
+    point, x = named(POINT)
+    constant, c = named(CONSTANT)
+    plan = split(x.motion, MOTION)
+    x.R_OF, x.p_OF = ca.reshape(plan["pose"][:9], 3, 3), plan["pose"][9:]
+    x.w_OF, x.v_OF = ca.vertsplit(plan["twist"], 3)
+    x.alpha_OF, x.a_OF = ca.vertsplit(plan["acceleration"], 3)
+    _want(x, plan["normal"], plan["normal_rate"], c.h)
+    x.arm, x.slip = x.R_WT @ plan["contact_point"][:3], x.R_WO @ x.sliding
+    x.contact_force -= x.normal_force * x.normal
+    wrench = tip_wrench(x, c) + ca.vertcat(0, 0, 0, x.push)
+    return Table(ca.Function("driving", [point, constant], [ca.densify(wrench)]))
+
+
+def _want(x: SimpleNamespace, normal: ca.SX, normal_rate: ca.SX, h: ca.SX) -> None:
+    """Add the plan carried by the object, in the world, as a discrete plant needs it: `WANTED`.
+
+    Place and acceleration are those of now; the velocity is that which brought the finger here.
+    """
+    cross = ca.cross
+    off, v, spin = x.R_WO @ x.p_OF, x.R_WO @ x.v_OF, x.R_WO @ x.w_OF
+    swept = cross(x.w_WO, off)
+    bend = cross(x.w_WO, swept + 2 * v) + x.R_WO @ x.a_OF
+    turn = cross(x.w_WO, spin) + x.R_WO @ x.alpha_OF
+    x.p_WT, x.R_WT = x.p_WO + off, x.R_WO @ x.R_OF
+    x.v_WT, x.w_WT = x.v_WO + swept + v - 0.5 * h * bend, x.w_WO + spin - 0.5 * h * turn
+    x.a_WT, x.alpha_WT = x.a_WO + cross(x.alpha_WO, off) + bend, x.alpha_WO + turn
+    x.normal = x.R_WO @ normal
+    x.turning = x.R_WO @ cross(normal, normal_rate) + x.w_WO - ca.dot(x.w_WO, x.normal) * x.normal
+
+
+@per_structure
+def holding_law() -> Table:
+    """Table of one tip on joints: `HELD`, `CONSTANT` -> torque (3), force (3), in the world."""
+    point, x = named(HELD)
+    constant, c = named(CONSTANT)
+    return Table(ca.Function("holding", [point, constant], [ca.densify(tip_wrench(x, c))]))
+
+
+def tip_wrench(x: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
     """Torque and force on a tip about its origin, in the world as all that they are made of.
 
-    x : `TIP`, and slip, v_rel (minus the tip's velocity on the object) where it is to be rejected
-    wanted : `WANTED`
+    x : `HELD`; slip is v_rel (minus the tip's velocity on the object) where it is to be rejected
     c : `CONSTANT`
     """
-    return ca.vertcat(_torque(x, wanted, c), _force(x, wanted, c))
+    return ca.vertcat(_torque(x, c), _force(x, c))
 
 
-def _force(x: SimpleNamespace, wanted: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
+def _force(x: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
     """Feed-forward, contact, slip, tracking in the frame that turns with the contact."""
-    cross, normal, turning = ca.cross, wanted.normal, wanted.turning
-    error, error_rate = wanted.p_WT - x.p_WF, wanted.v_WT - x.v_WF
+    cross, normal, turning = ca.cross, x.normal, x.turning
+    error, error_rate = x.p_WT - x.p_WF, x.v_WT - x.v_WF
     # The velocities are those of half a step ago, so the error has to be too.
     error_rate -= cross(turning, error - 0.5 * c.h * error_rate)
-    a = wanted.a_WT - 2 * cross(turning, error_rate) - cross(turning, cross(turning, error))
+    a = x.a_WT - 2 * cross(turning, error_rate) - cross(turning, cross(turning, error))
     a += c.slip_gain * x.slip
     approach = ca.dot(error_rate, normal)
     force = c.mass * (a - c.gravity) + x.contact_force + c.normal_damping * approach * normal
@@ -65,14 +119,14 @@ def _force(x: SimpleNamespace, wanted: SimpleNamespace, c: SimpleNamespace) -> c
     return force + c.velocity_gain * (error_rate - approach * normal)
 
 
-def _torque(x: SimpleNamespace, wanted: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
+def _torque(x: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
     """Feed-forward, the contact force through the contact point, tracking of turn and spin."""
-    inertia, w = x.R_WF @ ca.reshape(c.inertia, 3, 3) @ x.R_WF.T, wanted.w_WT
-    off = wanted.R_WT @ x.R_WF.T
+    inertia, w = x.R_WF @ ca.reshape(c.inertia, 3, 3) @ x.R_WF.T, x.w_WT
+    off = x.R_WT @ x.R_WF.T
     axis = 0.5 * ca.vertcat(off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1])
-    torque = inertia @ wanted.alpha_WT + ca.cross(w, inertia @ w)
+    torque = inertia @ x.alpha_WT + ca.cross(w, inertia @ w)
     torque += c.spin_gain * (w - x.w_WF) + c.rotation_gain * axis
-    return torque + ca.cross(wanted.arm, x.contact_force)
+    return torque + ca.cross(x.arm, x.contact_force)
 
 
 def tip_constants(body: RigidBody, parts: ScenePlant, hold: float) -> list[float]:
