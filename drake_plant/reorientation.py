@@ -236,19 +236,14 @@ def _rolled(chains: Chains, path: Any) -> tuple[Array, Array, Array]:
     return t, q, np.array([rates(*each) for each in zip(t, q)])
 
 
-def _routed(
-    chains: Chains, path: Any, t: Array, rolled: Array
-) -> tuple[Array, Array, Array, Scene]:
+def _routed(chains: Chains, path: Any, t: Array, way: Array) -> tuple[Array, Array, Array, Scene]:
     """Times, joints, their velocities, and the scene with the legs that fingers follow.
 
     Joints that roll along show places on the object that fingers reach; legs of `cs.reach` lead
     there without spin and on the pads.
     """
-    ends = []
-    for k in (0, -1):
-        chains.put(rolled[k])
-        X_WO = path.GetPose(t[k])
-        ends.append([chains.touch(i, X_WO)[STATES].copy() for i in range(len(chains.tips))])
+    rest = np.zeros_like(way[[0, -1]])
+    ends = _contacts(chains, path, t[[0, -1]], way[[0, -1]], rest)[..., STATES]
     goals = [
         Goal(object_at=row[4:6], finger_within=(*contact.finger_at, chains.hand.pad))
         for row, contact in zip(ends[1], chains.scene.contacts)
@@ -257,12 +252,11 @@ def _routed(
     route = reach(scene.replace(duration=t[-1] - t[0]), goals).scene
     t = np.linspace(t[0], t[-1], max(LEG_NODES, len(t)))
     found = make_plan(route).evaluate(t - t[0], "pose", "twist")
-    q, v = [rolled[0]], [np.zeros_like(rolled[0])]
-    for k, poses in enumerate(found["pose"]):
-        X_WO = path.GetPose(t[k])
-        near = q[-1] + (t[1] - t[0]) * v[-1]
-        q.append(chains.placed(t[k], near, [X_WO @ RigidTransform(X_OF) for X_OF in poses]))
-        v.append(chains.moved(q[-1], _carried(path, t[k], poses[:, :3, 3], found["twist"][k])))
+    q, v = [way[0]], [rest[0]]
+    for time, poses, twists in zip(t, found["pose"], found["twist"]):
+        X_WO, near = path.GetPose(time), q[-1] + (t[1] - t[0]) * v[-1]
+        q.append(chains.placed(time, near, [X_WO @ RigidTransform(X_OF) for X_OF in poses]))
+        v.append(chains.moved(q[-1], _carried(path, time, poses[:, :3, 3], twists)))
     return t, np.array(q[1:]), np.array(v[1:]), route
 
 
@@ -297,7 +291,7 @@ def _planned(
     X = [path.GetPose(time) for time in t]
     R = np.array([pose.rotation().matrix() for pose in X])
     V, A = (np.array([get(x) for x in t]) for get in (path.GetVelocity, path.GetAcceleration))
-    found = _contacts(chains, X, V, q, v)
+    found = _contacts(chains, path, t, q, v)
     states = found[..., STATES]
     points = np.stack([found[..., ON_FINGER], found[..., ON_OBJECT]], axis=2)
     _refuse_pads(rolling, config.hand, t, points[:, :, 0])
@@ -342,10 +336,11 @@ def _planned(
     )
 
 
-def _contacts(chains: Chains, X: list[RigidTransform], V: Array, q: Array, v: Array) -> Array:
+def _contacts(chains: Chains, path: Any, t: Array, q: Array, v: Array) -> Array:
     """What probes find of every contact, and its spin: (m, n, FOUND + 1)."""
     rows = np.empty((len(q), len(chains.joints), FOUND + 1))
-    for k, (X_WO, V_WO) in enumerate(zip(X, map(SpatialVelocity, V))):
+    for k, time in enumerate(t):
+        X_WO, V_WO = path.GetPose(time), SpatialVelocity(path.GetVelocity(time))
         chains.put(q[k], v[k])
         for i, tip in enumerate(chains.tips):
             swept = V_WO.Shift(chains.pose(i).translation() - X_WO.translation())
