@@ -285,12 +285,11 @@ class ContactGauges:
         self._result = np.zeros((len(steps), NUMBERS))
         x = self._motions.x
         self._acting = [*zip(x["point"], x["force"], x["torque"])]
-        rows: Any = zip(
-            (probe.seen for probe in self._probes),
-            (probe.found for probe in self._probes),
-            *(self._motions.results, self._forces.points, self._forces.results, self._result),
-        )
-        self._numbers = [[numbers.data for numbers in row] for row in rows]
+        rows: Any = self._motions.results, self._forces.points, self._forces.results, self._result
+        self._contacts = [
+            (probe, machine.run, *(row.data for row in (probe.seen, probe.found, *own)))
+            for probe, machine, *own in zip(self._probes, self._forces.machines, *rows)
+        ]
 
     def look(self, X_W: Any, V_W: Any, obj: int, fingers: list[int]) -> None:
         """Note where the bodies are, and how they move, as Drake lists them; nothing touches."""
@@ -325,8 +324,8 @@ class ContactGauges:
     def measure(self) -> Array:
         """Slip, normal force, tangential force in E2, state, contact point in O: (n, 17)."""
         self._motions.run()
-        for probe, told, numbers in zip(self._probes, self._told, self._numbers):
-            (pressing, share, bends), (seen, found, moved, given, _, result) = told, numbers
+        for contact, (pressing, share, bends) in zip(self._contacts, self._told):
+            probe, take, seen, found, moved, given, forces, result = contact
             # slip and forces, where the step that ended now began
             seen[:18], seen[18], seen[19] = moved[:18], share, 0.0
             if pressing:
@@ -335,10 +334,8 @@ class ContactGauges:
                 probe.find(probe.approach())
             given[:21], given[21:30] = found[ON_OBJECT.start : GAP + 1], moved[21:30]
             given[30], result[:2] = bends, found[SLIP]
-        self._forces.run()
-        for probe, told, numbers in zip(self._probes, self._told, self._numbers):
-            seen, found, moved, _, forces, result = numbers
-            result[2:5] = forces if told[0] else NOTHING
+            take()
+            result[2:5] = forces if pressing else NOTHING
             # where the contact is now, with the slip of the step
             seen[:18], seen[18], seen[19], seen[20:] = moved[30:48], 0.0, 1.0, result[:2]
             probe.find(found[ON_OBJECT], found[ON_FINGER])

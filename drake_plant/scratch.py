@@ -60,11 +60,12 @@ class FingerTables:
 
     points : what it takes, a row a finger; x : the same by name, poses (n, 3, 4)
     results : (n, n_out)
+    machines : one a finger
     """
 
     def __init__(self, table: Table, sizes: dict[str, int], constants: Sequence[list[float]]):
         registers = np.zeros((len(constants), table.n_regs))
-        self._machines = [Machine(table, *each) for each in zip(constants, registers)]
+        self.machines = [Machine(table, *each) for each in zip(constants, registers)]
         self.points = registers[:, : table.n_in]
         self.x: dict[str, Array] = {}
         for name, part in zip(
@@ -81,7 +82,7 @@ class FingerTables:
             pose[:], velocity[:] = X_W[body].GetAsMatrix34(), V_W[body].get_coeffs()
 
     def run(self) -> None:
-        for machine in self._machines:
+        for machine in self.machines:
             machine.run()
 
 
