@@ -256,15 +256,11 @@ def _routed(chains: Chains, path: Any, t: Array, way: Array) -> tuple[Array, Arr
     for time, poses, twists in zip(t, found["pose"], found["twist"]):
         X_WO, near = path.GetPose(time), q[-1] + (t[1] - t[0]) * v[-1]
         q.append(chains.placed(time, near, [X_WO @ RigidTransform(X_OF) for X_OF in poses]))
-        v.append(chains.moved(q[-1], _carried(path, time, poses[:, :3, 3], twists)))
+        R, V_WO = X_WO.rotation().matrix(), path.GetVelocity(time)
+        swept = np.cross(V_WO[:3], poses[:, :3, 3] @ R.T)
+        V_WF = V_WO + np.hstack([twists[:, :3] @ R.T, twists[:, 3:] @ R.T + swept])
+        v.append(chains.moved(q[-1], V_WF))
     return t, np.array(q[1:]), np.array(v[1:]), route
-
-
-def _carried(path: Any, t: float, places: Array, twists: Array) -> Array:
-    """V_WF of tips from p_OF and V_OF in O, (n, 6)."""
-    R, V_WO = path.GetPose(t).rotation().matrix(), path.GetVelocity(t)
-    swept = np.cross(V_WO[:3], places @ R.T)
-    return V_WO + np.hstack([twists[:, :3] @ R.T, twists[:, 3:] @ R.T + swept])
 
 
 def _starting(scene: Scene, states: Any, **changes: Any) -> Scene:
