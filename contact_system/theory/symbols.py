@@ -7,7 +7,6 @@ no symbols and never load it.
 from __future__ import annotations
 
 import atexit
-import dataclasses
 import functools
 import os
 import signal
@@ -90,27 +89,17 @@ def __getattr__(name: str) -> Any:
     return found
 
 
-@dataclasses.dataclass(frozen=True)
-class _Alike:
-    """A surface as a cache key: equal for all surfaces of the same structure and side."""
-
-    key: tuple[Any, ...]
-    surface: Any = dataclasses.field(compare=False)
-
-
 def per_structure(build: Callable[..., Any]) -> Callable[..., Any]:
     """Cache a function of surfaces that makes symbols, by the surfaces' structures and sides."""
-
-    @functools.lru_cache(maxsize=MOST_KEPT)
-    def made(*given: Any) -> Any:
-        return build(*(k.surface if isinstance(k, _Alike) else k for k in given))
+    made: dict[tuple[Any, ...], Any] = {}  # the least recently used first
 
     @functools.wraps(build)
     def kept(*given: Any) -> Any:
-        surfaces = (
-            _Alike((a.structure, a.inside), a) if hasattr(a, "structure") else a for a in given
-        )
+        key = tuple((a.structure, a.inside) if hasattr(a, "structure") else a for a in given)
         with making_symbols():
-            return made(*surfaces)
+            made[key] = made.pop(key) if key in made else build(*given)
+            if len(made) > MOST_KEPT:
+                del made[next(iter(made))]
+            return made[key]
 
     return kept
