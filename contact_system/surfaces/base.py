@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..checks import Array, finite_number, of_kind, real_array, shaped_array
 from ..engine.binding import SURFACES, SurfaceData, builtin, run
@@ -321,28 +321,18 @@ class Surface:
         self._require_regular(us, vs)
         return (float(us), float(vs)) if us.ndim == 0 else (us, vs)
 
-    def align(
-        self, u: ArrayLike, v: ArrayLike, u_ref: ArrayLike, v_ref: ArrayLike
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return the coordinates of the same points that are nearest to reference coordinates.
+    def align(self, u: float, v: float, u_ref: float, v_ref: float) -> tuple[float, float, bool]:
+        """Return the coordinates of the same point that are nearest to reference coordinates.
 
-        Returns
-        -------
-        u, v : arrays of the broadcast shape
-        half_turn : bool array
-            Where both frame axes are turned by pi from those at the coordinates given.
+        Return also whether both frame axes there are turned by pi from those at (u, v).
         """
-        u, v, u_ref, v_ref = self._numbers(u, v, u_ref, v_ref)
-        period_u, period_v = self.periods()
-        near_u, near_v = _nearest(u, u_ref, period_u), _nearest(v, v_ref, period_v)
-        if not self.double_cover:
-            return near_u, near_v, np.zeros(u.shape, dtype=bool)
-        other_u = _nearest(-u, u_ref, period_u)
-        other_v = _nearest(math.pi - v, v_ref, period_v)
-        far = np.hypot(near_u - u_ref, near_v - v_ref)
-        half_turn = np.hypot(other_u - u_ref, other_v - v_ref) < far
-        u_near, v_near = np.where(half_turn, [other_u, other_v], [near_u, near_v])
-        return u_near, v_near, half_turn
+        reference, periods = (u_ref, v_ref), self.periods()
+        here, there = (
+            [*map(_nearest, place, reference, periods)] for place in ((u, v), (-u, math.pi - v))
+        )
+        half_turn = self.double_cover and math.dist(there, reference) < math.dist(here, reference)
+        u, v = there if half_turn else here
+        return u, v, half_turn
 
     def _wrap(self, u: Any, v: Any) -> tuple[Any, Any]:
         return self.chart.wrap(u, v)
@@ -367,13 +357,12 @@ class Surface:
                 "away from that point, or turn the body's axes so that it lies elsewhere"
             )
 
-    def _numbers(self, *given: ArrayLike) -> Sequence[Array]:
+    def _numbers(self, u: ArrayLike, v: ArrayLike) -> Sequence[Array]:
         try:
-            return np.broadcast_arrays(*map(real_array, given))
+            return np.broadcast_arrays(real_array(u), real_array(v))
         except (TypeError, ValueError, OverflowError):
-            names = "(u, v, u_ref, v_ref)" if len(given) > 2 else "(u, v)"
             raise SurfaceError(
-                f"{self!r}: coordinates {names} = {given!r} must be numbers of one shape"
+                f"{self!r}: coordinates (u, v) = {(u, v)!r} must be numbers of one shape"
             ) from None
 
     def _finite(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
@@ -411,10 +400,10 @@ class Surface:
 # --- helpers --------------------------------------------------------------------------------------
 
 
-def _nearest(angle: Array, reference: Array, period: float | None) -> Array:
+def _nearest(angle: float, reference: float, period: float | None) -> float:
     if period is None:
         return angle
-    return angle + period * np.round((reference - angle) / period)
+    return angle + period * float(np.round((reference - angle) / period))
 
 
 def store(surface: Surface, **values: Any) -> None:
