@@ -374,7 +374,7 @@ def _verdict(laws: Laws, scene: Scene) -> Iterable[str]:
 def _great_circles(plan: Plan) -> Iterable[str]:
     """Distance of the curves of fingers with imposed rolling from their great circles."""
     for i, contact in enumerate(plan.scene.contacts):
-        if contact.follows and contact.finger.great_circles:
+        if contact.follows and contact.finger.chart.great_circles:
             points = plan.points(plan.sample_times())[:, i, 0]
             distance = float(np.abs(great_circle_distance(points)).max())
             yield (

@@ -336,7 +336,7 @@ class Plan:
         measured = shaped_array(state, what, remedy=f"numbers, shape {shape}")
         measured = measured[0] if measured.ndim == 3 and len(measured) == 1 else measured
         shaped_array(measured, what, shape)
-        if any(surface.double_cover for surface in self.scene.surfaces):
+        if any(surface.chart.double_cover for surface in self.scene.surfaces):
             with contextlib.suppress(ChartSingularity):  # at an umbilic the plan has no branch
                 measured = on_branch(self.scene, measured, self.states(t)[0])
         offsets = acting(self.scene, t)[:, 4:]

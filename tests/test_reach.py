@@ -38,7 +38,7 @@ def test_random_goals_of_places_and_angle_are_reached(name):
         assert end[0] == pytest.approx(finger.point(*goal.finger_at), abs=1e-12 * finger.size)
         assert end[1] == pytest.approx(obj.point(*goal.object_at), abs=1e-12 * obj.size)
         psi = cs.plan(route.scene, 1e-14).states(3.0)[0, 0, 8]
-        if finger.double_cover or obj.double_cover:
+        if finger.chart.double_cover or obj.chart.double_cover:
             psi = math.remainder(2 * (psi - goal.angle), 2 * math.pi)  # covers turn frames by pi
         else:
             psi = math.remainder(psi - goal.angle, 2 * math.pi)

@@ -162,13 +162,14 @@ def test_quadric_points_satisfy_its_equation(name):
 
 
 def test_quadrics_know_their_degenerate_cases_through_rounding_and_no_others():
-    assert turned_quadric("round").great_circles and Ellipsoid(1, 1, 1).great_circles
-    assert turned_quadric("round cylinder").developable and turned_quadric("planes").developable
+    for ball in (turned_quadric("round"), Ellipsoid(1, 1, 1), Sphere(1)):
+        assert ball.chart.great_circles
+    for flat in (turned_quadric("round cylinder"), turned_quadric("planes"), Plane(), Cylinder(1)):
+        assert flat.chart.developable
     assert turned_quadric("oblate").periods() == (2 * pi, None)
-    assert Plane().developable and Cylinder(1).developable and Sphere(1).great_circles
-    for other in (turned_quadric("triaxial"), Quadric(np.diag([1.0, 1.0, 1.0 + 1e-10]))):
-        assert not other.great_circles and not other.developable
-    assert not Quadric(np.diag([1.0, 4.0, 1e-10])).developable
+    nearly = [Quadric(np.diag(values)) for values in ([1.0, 1.0, 1.0 + 1e-10], [1.0, 4.0, 1e-10])]
+    for other in (turned_quadric("triaxial"), *nearly):
+        assert not other.chart.great_circles and not other.chart.developable
 
 
 # --- canonical coordinates

@@ -86,7 +86,7 @@ def on_branch(scene: Scene, measured: np.ndarray, planned: np.ndarray) -> np.nda
     rows = measured.copy()
     for row, plan_row, contact in zip(rows, planned, scene.contacts):
         for surface, k in ((contact.finger, 0), (scene.object, 4)):
-            if not surface.double_cover:
+            if not surface.chart.double_cover:
                 continue
             *row[k : k + 2], turned = surface.align(*row[k : k + 2], *plan_row[k : k + 2])
             if turned:

@@ -81,7 +81,7 @@ def mesh_of(plan: Plan, side: int, contacts: Sequence[int], cells: int = CELLS) 
 def closed_span(surface: Surface, k: int) -> tuple[float, float] | None:
     """Range of u or v that covers a closed surface; None if it is not closed along it."""
     period = surface.periods()[k]
-    if surface.double_cover:
+    if surface.chart.double_cover:
         return ((-math.pi, math.pi), (-math.pi / 2, math.pi / 2))[k]
     if period is not None:
         return -period / 2, period / 2
@@ -94,7 +94,7 @@ def _span(
     plan: Plan, surface: Surface, side: int, contacts: Sequence[int], k: int, whole: bool
 ) -> tuple[float, float]:
     """Range of u or v to draw, slightly shortened, as there is no frame at poles."""
-    closed = closed_span(surface, k) if whole or surface.double_cover else None
+    closed = closed_span(surface, k) if whole or surface.chart.double_cover else None
     if closed is not None:
         start, stop = closed
     else:

@@ -268,7 +268,7 @@ class Scene:
                     continue
                 changes: dict[str, Any] = {f"{body}_at": at}
                 # a double cover has the same point at (u, v) and (-u, pi - v), with opposite axes
-                if surface.double_cover and fold_latitude(given[1])[1]:
+                if surface.chart.double_cover and fold_latitude(given[1])[1]:
                     changes["angle"] = math.remainder(contacts[i].angle + math.pi, 2 * math.pi)
                     velocity = getattr(contact, f"{body}_velocity")
                     if not isinstance(velocity, str):

@@ -141,7 +141,7 @@ class Aim:
                             raise
                         regular = wanted  # a pole is a place, but psi has no value there
                 # on a double cover psi depends on the branch
-                wanted = wanted if body.double_cover else regular
+                wanted = wanted if body.chart.double_cover else regular
             both = np.transpose([at, at if wanted is None else wanted])
             points, frames, forms = body._evaluate(*both, "point", "frame", "curvature_form")
             self.start.append((points[0], frames[0]))
@@ -211,7 +211,7 @@ class Aim:
         data = Steered(wanted=side in self.sides)
         data.start[:] = [*x.tolist(), *frame[:, :2].T.ravel().tolist()]
         data.goal[:] = self.goal[side][0].tolist()
-        if body.great_circles:
+        if body.chart.great_circles:
             data.gauss, data.bend = body.size**-2, body.sign / body.size
         elif not is_plane(body):
             follower = Follower(body)

@@ -22,7 +22,7 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
     None for other goals, and if it is not shorter than ``below``, m along s.
     """
     pairs = zip(aim.bodies, reversed(aim.bodies))
-    kinds = [body.great_circles and is_plane(other) for body, other in pairs]
+    kinds = [body.chart.great_circles and is_plane(other) for body, other in pairs]
     if not any(kinds) or aim.pose is None or aim.is_pose:
         return None
     ball, plane = kinds.index(True), kinds.index(False)

@@ -327,6 +327,6 @@ class _Search:
         part: of the size, by which balls may differ.
         """
         one, other = self.aim.bodies
-        balls = one.great_circles and other.great_circles
+        balls = one.chart.great_circles and other.chart.great_circles
         near = abs(one.size - other.size) <= part * other.size
-        return (balls and near) or (one.developable and other.developable)
+        return (balls and near) or (one.chart.developable and other.chart.developable)

@@ -106,7 +106,7 @@ def geodesic(surface: Surface, a: ArrayLike, b: ArrayLike) -> Geodesic:
         ``limits.STRIPS``, as on a body that is flat as a leaf.
     """
     pairs = Pairs(surface, a, b)
-    if surface.developable:
+    if surface.chart.developable:
         phi, s = (w[:, 0] for w in pairs.unrolled())
     else:
         phi, s = Search(pairs).shortest()
@@ -148,7 +148,7 @@ def geodesics(
     most = whole_number(most, "most", SurfaceError)
     if longest is not None:
         longest = finite_number(longest, "longest", "above 0", SurfaceError)
-    if surface.developable:
+    if surface.chart.developable:
         phi, s = (w[0] for w in pairs.unrolled(most))
     else:
         phi, s = Search(pairs).several(most, longest)

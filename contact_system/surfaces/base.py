@@ -109,15 +109,21 @@ class Surface:
         return lowered(self) if name is None else builtin(name)
 
     @property
+    def traits(self) -> list[float]:
+        """The fields of the engine's ``surface_t`` between its name and its tables."""
+        chart, flags = self.chart, 0 if self.has_implicit else MAY_BE_SINGULAR
+        closed = 1 if chart.great_circles else 2 if chart.developable else 0
+        sizes = len(self.numbers), int(chart.double_cover), closed, flags
+        return [*sizes, *(period or 0.0 for period in self.periods())]
+
+    @property
     def engine_data(self) -> SurfaceData:
         """The engine's ``surface_t``, which points to the tables."""
         return SURFACES[self.table_name] if self.table_name is not None else self._own_data
 
     @kept
     def _own_data(self) -> SurfaceData:
-        flags, periods = 0 if self.has_implicit else MAY_BE_SINGULAR, self.periods()
-        sizes = len(self.numbers), self.double_cover, self.closed_form, flags
-        made = SurfaceData(b"", *sizes, *(period or 0.0 for period in periods))
+        made = SurfaceData(b"", *self.traits)
         for group in ("ambient", "chart", "other"):
             for k, table in enumerate(getattr(self.tables, group)):
                 getattr(made, group)[k] = table and table.address
@@ -138,26 +144,6 @@ class Surface:
     def injectivity(self) -> float:
         """Length, m, up to which every geodesic is the shortest between its ends; 0: unknown."""
         return 0.0
-
-    @property
-    def developable(self) -> bool:
-        """T = 0 and constant Lame coefficients: geodesics are straight lines when unrolled."""
-        return self.chart.developable
-
-    @property
-    def great_circles(self) -> bool:
-        """The surface is a sphere about the origin of its frame, so geodesics are great circles."""
-        return self.chart.great_circles
-
-    @property
-    def closed_form(self) -> int:
-        """Of geodesics, as engine.h counts them: 1 great circles, 2 lines when unrolled, 0 none."""
-        return 1 if self.great_circles else 2 if self.developable else 0
-
-    @property
-    def double_cover(self) -> bool:
-        """(-u, pi - v) is the same point as (u, v), with both frame axes turned by pi."""
-        return self.chart.double_cover
 
     def periods(self) -> Periods:
         """Return the periods of u and v, rad, None where a coordinate has none."""
@@ -330,7 +316,8 @@ class Surface:
         here, there = (
             [*map(_nearest, place, reference, periods)] for place in ((u, v), (-u, math.pi - v))
         )
-        half_turn = self.double_cover and math.dist(there, reference) < math.dist(here, reference)
+        nearer = math.dist(there, reference) < math.dist(here, reference)
+        half_turn = nearer and self.chart.double_cover
         u, v = there if half_turn else here
         return u, v, half_turn
 

@@ -39,7 +39,7 @@ def in_space(surface: Surface, disturbed: bool = False) -> bool:
     A disturbance has chart components. On a double cover (triaxial ellipsoid) their sign depends on
     the path's branch, which only the form in the chart knows.
     """
-    in_chart = surface.developable or (disturbed and surface.double_cover)
+    in_chart = surface.chart.developable or (disturbed and surface.chart.double_cover)
     return surface.has_implicit and not in_chart
 
 

@@ -74,7 +74,6 @@ class Writer:
 
     def surface(self, surface: Surface) -> list[Any]:
         """Return the fields of a surface_t."""
-        sizes = [len(surface.numbers), int(surface.double_cover), surface.closed_form, 0]
 
         def pointer(table: Table | None, hot: bool) -> str | None:
             if table is None:
@@ -85,7 +84,7 @@ class Writer:
         hot = [[pointer(table, True) for table in group] for group in (made.ambient, made.chart)]
         other = [pointer(table, False) for table in made.other[:-1]]
         groups = [*hot, [*other, pointer(made.geodesic, True)]]
-        return [f'"{surface.table_name}"', *sizes, *(p or 0.0 for p in surface.periods()), *groups]
+        return [f'"{surface.table_name}"', *surface.traits, *groups]
 
     def tables(self) -> str:
         """Return tables.inc; call it before `twin_functions`."""

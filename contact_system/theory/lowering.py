@@ -354,7 +354,7 @@ class SurfaceTables:
     @kept
     def chart(self) -> tuple[Table | None, ...]:
         """State u, v, theta: `development.IN_CHART`, for surfaces that may be planned so."""
-        wanted = self.surface.double_cover or not in_space(self.surface)
+        wanted = self.surface.chart.double_cover or not in_space(self.surface)
         return self._moving(wanted, False, IN_CHART)
 
     def _moving(self, wanted: bool, ambient: bool, names: Sequence[str]) -> tuple[Any, ...]:
