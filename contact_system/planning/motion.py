@@ -122,18 +122,14 @@ class Buffer:
                 index = self._put([x for d in own for x in (d.slot, d.start, d.stop, *d.value)])
             if contact.legs not in legs:
                 legs[contact.legs] = self._legs(contact.way(scene.profile, scene.duration))
-            if isinstance(start, Moment):
-                known = [start.finger_frame[:6], start.object_frame[:6]]
-                place: Numbers = (*start.finger_at, *start.object_at, start.angle)
-                velocities: Numbers = (*start.finger_velocity, *start.slip)
-            else:
-                known = frames.get(i, [(), ()])
-                finger_at, object_at, angle, w1, w2 = start if starts else contact.start()
-                place, velocities = (*finger_at, 0.0, *object_at, 0.0, angle), (*w1, *w2)
+            finger_at, object_at, angle, w1, second, *known = start if starts else contact.start()
+            theta = () if known else (0.0,)
+            one, other = known or frames.get(i, ((), ()))
             flags = (isinstance(start, Moment), contact.follows, index, len(own))
+            place = (*finger_at, *theta, *object_at, *theta, angle, *w1, *second)
+            both = *(one or _NO_FRAME), *(other or _NO_FRAME)
             finger = self._body(contact.finger)
-            both = *(known[0] or _NO_FRAME), *(known[1] or _NO_FRAME)
-            rows.append(_ROW(*finger, *flags, *legs[contact.legs], *place, *velocities, *both))
+            rows.append(_ROW(*finger, *flags, *legs[contact.legs], *place, *both))
         return rows
 
 
@@ -266,7 +262,7 @@ class Motion:
             for surface, first in zip(bodies, (11, 17))
         ]
         places = tuple(row[:3]), tuple(row[3:6])
-        return Moment(row[6], tuple(row[7:9]), tuple(row[9:11]), *places, *frames)
+        return Moment(*places, row[6], tuple(row[7:9]), tuple(row[9:11]), *frames)
 
     def lines(self) -> list[str]:
         """How each contact and interval was planned, why, and what was skipped."""

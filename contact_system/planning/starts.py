@@ -17,11 +17,11 @@ from ..surfaces import Surface
 class Moment(NamedTuple):
     """One contact at one time, in its moving frames: all that a plan needs to go on exactly."""
 
+    finger_at: tuple[float, ...]  # u, v, theta, continuous along the path
+    object_at: tuple[float, ...]
     angle: float  # psi where both frame angles are zero
     finger_velocity: tuple[float, ...]  # W_1 in the parallel frame (theory section 4)
     slip: tuple[float, ...]  # V in the parallel frame
-    finger_at: tuple[float, ...]  # u, v, theta, continuous along the path
-    object_at: tuple[float, ...]
     finger_frame: tuple[float, ...]  # x, p; empty if the body is planned in its chart
     object_frame: tuple[float, ...]
 
