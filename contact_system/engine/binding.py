@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from ctypes import POINTER, Structure, c_char_p, c_double, c_int32, c_int64, c_void_p
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -169,12 +169,11 @@ LAYOUT = tuple((c_int32 * 6).in_dll(_LIBRARY, "contact_layout"))
 """Version of the scene's buffer; sizes of its header, a body, window, leg and contact."""
 
 
-class Builtin(NamedTuple):
+class Builtin:
     """A table of the library."""
 
-    address: int
-    n_in: int
-    n_out: int
+    def __init__(self, address: int):
+        self.address, self.n_out = address, TableData.from_address(address).n_out
 
 
 class Builtins:
@@ -182,11 +181,12 @@ class Builtins:
 
     Attributes
     ----------
+    data : SurfaceData
     ambient, chart, other : tuples of Builtin or None
     """
 
     def __init__(self, data: SurfaceData):
-        self._data = data
+        self.data = data
 
     @property
     def geodesic(self) -> Builtin:
@@ -196,37 +196,27 @@ class Builtins:
         return table
 
     def __getattr__(self, group: str) -> tuple[Builtin | None, ...]:
-        addresses = getattr(self._data, group)
-        tables = tuple(None if at is None else _builtin_table(at) for at in addresses)
+        addresses = getattr(self.data, group)
+        tables = tuple(None if at is None else Builtin(at) for at in addresses)
         self.__dict__[group] = tables
         return tables
 
 
-def _builtin_table(address: int) -> Builtin:
-    data = TableData.from_address(address)
-    return Builtin(address, data.n_in, data.n_out)
-
-
-def _surfaces() -> dict[str, SurfaceData]:
+def _surfaces() -> dict[str, Builtins]:
     surfaces, index = {}, 0
     while pointer := _LIBRARY.contact_surface(index):
-        surfaces[pointer.contents.name.decode()] = pointer.contents
+        surfaces[pointer.contents.name.decode()] = Builtins(pointer.contents)
         index += 1
     return surfaces
 
 
 SURFACES = _surfaces()
-
-
-@functools.cache
-def builtin(name: str) -> Builtins:
-    """The tables of a bundled surface by its ``table_name``."""
-    return Builtins(SURFACES[name])
+"""The bundled surfaces by their ``table_name``."""
 
 
 def contact_table(index: int) -> Builtin:
     """One of the tables of contacts, by its index in engine.h."""
-    return _builtin_table(_LIBRARY.contact_table(index))
+    return Builtin(_LIBRARY.contact_table(index))
 
 
 def address(array: np.ndarray) -> int:
@@ -265,15 +255,8 @@ def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:
     points = np.ascontiguousarray(points, dtype=float)
     constants = np.ascontiguousarray(constants, dtype=float)
     out = np.empty((table.n_out, points.shape[1]))
-    code = _run(
-        table.address,
-        points.shape[1],
-        address(points),
-        address(constants),
-        constants.ndim == 2,
-        address(out),
-    )
-    if code:
+    given = points.shape[1], address(points), address(constants), constants.ndim == 2
+    if _run(table.address, *given, address(out)):
         raise MemoryError
     return out
 

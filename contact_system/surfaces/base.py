@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import Array, finite_number, of_kind, real_array, shaped_array
-from ..engine.binding import SURFACES, SurfaceData, builtin, run
+from ..engine.binding import SURFACES, SurfaceData, run
 from ..errors import ChartSingularity, SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
@@ -105,8 +105,7 @@ class Surface:
     @kept
     def tables(self) -> Any:
         """The tables of instructions of this structure, in groups ambient, chart and other."""
-        name = self.table_name
-        return lowered(self) if name is None else builtin(name)
+        return lowered(self) if self.table_name is None else SURFACES[self.table_name]
 
     @property
     def traits(self) -> list[float]:
@@ -119,7 +118,7 @@ class Surface:
     @property
     def engine_data(self) -> SurfaceData:
         """The engine's ``surface_t``, which points to the tables."""
-        return SURFACES[self.table_name] if self.table_name is not None else self._own_data
+        return self._own_data if self.table_name is None else SURFACES[self.table_name].data
 
     @kept
     def _own_data(self) -> SurfaceData:
