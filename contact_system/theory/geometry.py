@@ -22,7 +22,6 @@ from itertools import accumulate
 from typing import TYPE_CHECKING
 
 from . import symbols as ca
-from .symbols import per_structure
 
 if TYPE_CHECKING:
     from ..surfaces.base import Surface
@@ -149,7 +148,6 @@ def upper_inverse(m: ca.SX) -> ca.SX:
 # --- functions of (point, numbers of a surface) --------------------------------------------------
 
 
-@per_structure
 def geometry_function(surface: Surface) -> ca.Function:
     """(u, v), or x on an implicit surface -> :meth:`ChartGeometry.column`."""
     numbers = number_symbols(surface)
@@ -157,7 +155,6 @@ def geometry_function(surface: Surface) -> ca.Function:
     return numbers_function("geometry", place, numbers, shape.column())
 
 
-@per_structure
 def inverse_function(surface: Surface) -> ca.Function:
     """x -> u, v."""
     numbers, x = number_symbols(surface), ca.SX.sym("x", 3)
@@ -165,7 +162,6 @@ def inverse_function(surface: Surface) -> ca.Function:
     return numbers_function("inverse", x, numbers, uv)
 
 
-@per_structure
 def ray_function(surface: Surface) -> ca.Function:
     """x, d -> the level function F and its slope along d."""
     numbers, x, ray = number_symbols(surface), ca.SX.sym("x", 3), ca.SX.sym("d", 3)

@@ -372,12 +372,13 @@ class SurfaceTables:
     def other(self) -> tuple[Table | None, ...]:
         """Geometry, inverse chart, and for surfaces without a chart the level along a ray."""
         surface = self.surface
-        return (
-            Table(geometry_function(surface)),
-            Table(inverse_function(surface)) if surface.has_implicit else None,
-            None if surface.has_chart else Table(ray_function(surface)),
-            None,
-        )
+        with making_symbols():
+            return (
+                Table(geometry_function(surface)),
+                Table(inverse_function(surface)) if surface.has_implicit else None,
+                None if surface.has_chart else Table(ray_function(surface)),
+                None,
+            )
 
 
 @per_structure
