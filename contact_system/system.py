@@ -106,16 +106,14 @@ class SceneSystem:
         self._require_possible()
         n = len(scene.contacts)
         self.n_w = 6 * n if scene.disturbances or disturbance_input else 0
-        self._ways = [scene.way(i) if c.legs else () for i, c in enumerate(scene.contacts)]
         self.forms = self._forms()
-        self._rests = [self._rests_of(i) for i in range(n)]
-        turns = {stretch.start for way in self._ways for stretch in way[1:]}
-        self.corners = frozenset(turns.union(*self._rests))
+        turns = {stretch.start for i in range(n) for stretch in scene.way(i)[1:]}
+        self.corners = frozenset(turns.union(*map(self._rests, range(n))))
         self.edges = tuple(sorted({*scene.window_edges, *self.corners}))
         self.state_slices = _consecutive(sum(form.sizes) for form in self.forms)
         self.held_slices = _consecutive(
-            form.n_held + bool(way) * (1 + form.n_profile)
-            for form, way in zip(self.forms, self._ways)
+            form.n_held + bool(contact.legs) * (1 + form.n_profile)
+            for form, contact in zip(self.forms, scene.contacts)
         )
         law = (scene.gain.value, *scene.profile.coefficients)
         numbers = [law, *((*surface.parameters, surface.size) for surface in scene.surfaces)]
@@ -150,15 +148,13 @@ class SceneSystem:
             d1, d2, offset = (self.disturbance_input or slot in slots for slot in range(len(SLOTS)))
             tip = not chart and in_space(contact.finger, d1)
             body = not chart and in_space(scene.object, d2 or offset)
-            way = self._ways[i]
-            forced = not chart and (d1 or d2 or (makes_up and bool(way)))
-            profiles = [stretch.profile for stretch in way] or [scene.profile]
-            n_profile = max(len(profile.coefficients) for profile in profiles)
-            grown = () if way else growths
+            forced = not chart and (d1 or d2 or (makes_up and bool(contact.legs)))
+            n_profile = max(len(stretch.profile.coefficients) for stretch in scene.way(i))
+            grown = () if contact.legs else growths
             forms.append(Form(self.coordinates, forced, (tip, body), law, n_profile, grown))
         return forms
 
-    def _rests_of(self, contact: int) -> set[float]:
+    def _rests(self, contact: int) -> set[float]:
         """Times after the start at which sigma = 0 sets a V that is a state to zero."""
         if not (self.forms[contact].forced and self.scene.gain.row.makes_up):
             return set()
@@ -343,8 +339,9 @@ class SceneSystem:
 
     def leg_numbers(self, contact: int, t: float) -> Array:
         """The held numbers of the leg of a contact from time t on: its start and profile."""
-        way = [stretch for stretch in self._ways[contact] if stretch.start <= t]
-        return self._held_of(contact, way[-1]) if way else np.zeros(0)
+        way = [stretch for stretch in self.scene.way(contact) if stretch.start <= t]
+        legs = self.scene.contacts[contact].legs
+        return self._held_of(contact, way[-1]) if legs and way else np.zeros(0)
 
     def _held_of(self, contact: int, stretch: Stretch) -> Array:
         c = stretch.profile.coefficients
@@ -363,8 +360,8 @@ class SceneSystem:
             The output "carried" there.
         """
         x, held = np.array(x), np.array(held)
-        for i, (way, form) in enumerate(zip(self._ways, self.forms)):
-            for now in way[1:]:
+        for i, form in enumerate(self.forms):
+            for now in self.scene.way(i)[1:]:
                 part, (c, s) = self.held_slices[i], now.turn
                 if now.start != t or held[part][form.n_held] == t:
                     continue
@@ -376,7 +373,7 @@ class SceneSystem:
                     x[self.state_slices[i]][-4:] = after
                 since = [] if form.forced else [*after, 0.0]
                 held[part] = [*since, *self._held_of(i, now)]
-            if t in self._rests[i]:
+            if t in self._rests(i):
                 x[self.state_slices[i]][-2:] = 0.0
         return x, held
 
