@@ -370,17 +370,14 @@ class Surface:
 
     def _evaluate(self, u: ArrayLike, v: ArrayLike, *names: str) -> list[Array]:
         u, v = self._numbers(u, v)
-        places = self._places(u.ravel(), v.ravel())
+        flat = u.ravel(), v.ravel()
+        places = np.stack(flat) if self.has_chart else self.point(*flat).T
         table = run(self.tables.other[GEOMETRY], places, self.numbers)
         results = []
         for name in names:  # one column for each point, first index fastest
             entries = table[ROWS[name]].reshape((*QUANTITIES[name], u.size), order="F")
             results.append(np.moveaxis(entries, -1, 0).reshape(u.shape + QUANTITIES[name]))
         return results
-
-    def _places(self, u: Array, v: Array) -> Array:
-        """Return the places for the table of the geometry, one column for each point."""
-        return np.stack([u, v])
 
 
 # --- helpers --------------------------------------------------------------------------------------

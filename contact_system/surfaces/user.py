@@ -403,9 +403,6 @@ class ImplicitSurface(UserSurface):
         second = along_u @ f_u, along_u @ f_v, ca.jacobian(f_v, x) @ f_v
         return x, tangent_geometry(x, f_u, f_v, second)
 
-    def _places(self, u: Array, v: Array) -> Array:
-        return self.point(u, v).T
-
     def point(self, u: ArrayLike, v: ArrayLike) -> Array:
         """Return the point where the ray (u, v) leaves the body, shape (..., 3), m.
 
