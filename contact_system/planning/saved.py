@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 from collections.abc import Iterable
@@ -32,8 +33,6 @@ def texts_of(plan: Plan) -> dict[str, str]:
 
 def digest(texts: Iterable[str]) -> str:
     """Digest of the texts, by which changes of the file are noticed."""
-    import hashlib  # slow to import
-
     return hashlib.sha256("\0".join(texts).encode()).hexdigest()
 
 
