@@ -81,10 +81,12 @@ def measured_states(
     for i, one in enumerate(poses):
         rigid_motion(one, f"{scene.title}, contact {i}: pose", NOISE, ContactSystemError)
     others = _given(scene, "twist", twist, (6,)), _given(scene, "points", points, (3,))
-    sensor = ContactSensor(scene)
-    found = sensor.measure(poses[:, :3].reshape(-1, 12), *others)
-    sensor.check(found)
-    return found[:, STATES]
+    states = []
+    for i, (probe, pose_i, twist_i, point) in enumerate(zip(probes_of(scene), poses, *others)):
+        probe.seen[:18] = *pose_i[:3].ravel(), *twist_i
+        probe.find(point)
+        states.append(probe.states(f"{scene.title}, contact {i}"))
+    return np.array(states)
 
 
 def _given(scene: Scene, name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
@@ -93,75 +95,17 @@ def _given(scene: Scene, name: str, value: ArrayLike, shape: tuple[int, ...]) ->
     return shaped_array(value, f"{scene.title}: {name}", shape, ContactSystemError, finite=True)
 
 
-class ContactSensor:
-    """Measures the contacts of one scene, again and again; one thread at a time.
+def probes_of(scene: Scene, tolerance: float = 1e-13) -> list[Probe]:
+    """A probe for each contact of a scene.
 
-    Parameters
-    ----------
-    scene : Scene
-    tolerance : float
-        Error of the contact points, as a fraction of the smallest body's size. From points that
-        contact physics reports, Newton's steps shrink as 2e-3, 4e-6, 2e-11.
-
-    Attributes
-    ----------
-    small, settled : float
-        Length of a step at which Newton's method ends, and of the longest accepted last step, m.
-    probes : list of Probe
-        One for each contact.
+    tolerance : error of the contact points, as a fraction of the smallest body's size; from points
+    that contact physics reports, Newton's steps shrink as 2e-3, 4e-6, 2e-11
     """
-
-    def __init__(self, scene: Scene, tolerance: float = 1e-13):
-        obj, *fingers = scene.surfaces
-        self.scene, sizes = scene, [surface.size for surface in scene.surfaces]
-        self.small = tolerance * min(sizes)
-        # steps shrink quadratically: a step that stays above is rounding, as of a far larger body
-        self.settled = max(SETTLED * self.small, 1e-15 * max(sizes))
-        self.probes = [Probe(finger, obj, self.small) for finger in fingers]
-
-    def measure(self, pose: np.ndarray, twist: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Measure all contacts, without the checks of :func:`measured_states`.
-
-        Parameters
-        ----------
-        pose : (n, 12)
-            The upper three rows of X_OF, row by row.
-        twist : (n, 6)
-        points : (n, 3)
-
-        Returns
-        -------
-        (n, 37)
-            What each probe has `found`.
-        """
-        rows = []
-        for probe, *seen, point in zip(self.probes, pose, twist, points):
-            probe.seen[:] = *np.concatenate(seen), 0, 0, 0, 0
-            rows.append(probe.find(point).copy())
-        return np.array(rows)
-
-    def check(self, found: np.ndarray) -> None:
-        """Raise the errors of :func:`measured_states` for a measurement."""
-        for i, row in enumerate(found):
-            what = f"{self.scene.title}, contact {i}"
-            if abs(row[RELATIVE]) <= CONFORMAL:
-                raise ConformalContact(
-                    f"{what}: the surfaces conform to each other at the contact, so a twist does "
-                    "not determine where they touch; change a radius or a surface"
-                )
-            if row[STEP] > self.settled:
-                raise ContactSystemError(
-                    f"{what}: no common normal of the surfaces was found, the next step is "
-                    f"{row[STEP]:.3g} m; give a point nearer to the contact"
-                )
-            if not np.isfinite(row[STATES]).all():
-                raise ChartSingularity(
-                    f"{what}: measured at a pole, an umbilic or out of sight of an implicit "
-                    "surface's center, where there is no contact frame "
-                    f"({row[ON_FINGER].tolist()} m on the finger, {row[ON_OBJECT].tolist()} m on "
-                    "the object); measure nearby, turn the body's axes so that the "
-                    "pole lies elsewhere, or choose another center"
-                )
+    (obj, *fingers), sizes = scene.surfaces, [surface.size for surface in scene.surfaces]
+    small = tolerance * min(sizes)
+    # steps shrink quadratically: a step that stays above is rounding, as of a far larger body
+    settled = max(SETTLED * small, 1e-15 * max(sizes))
+    return [Probe(finger, obj, small, settled) for finger in fingers]
 
 
 class Probe:
@@ -179,9 +123,11 @@ class Probe:
         u2' v2' psi, principal values; v_rel in E2, m/s; x_1 on the finger and x_2 on the object,
         each in its body's frame, m; E2, column by column, in the object's frame; K_2, K_1 in E2,
         1/m; distance along the normal, negative where the bodies overlap, m.
+    small, settled : float
+        Length of a step at which Newton's method ends, and of the longest accepted last step, m.
     """
 
-    def __init__(self, finger: Surface, obj: Surface, small: float):
+    def __init__(self, finger: Surface, obj: Surface, small: float, settled: float):
         numbers = *finger.numbers, finger.size, *obj.numbers, obj.size
         machine = Machine(measurement(finger, obj), numbers)
         n = len(machine.point) - SEEN
@@ -189,7 +135,7 @@ class Probe:
         self._pose = self.seen[:12].reshape(3, 4)
         self._x, self._ahead = machine.point[:n].data, machine.results[:n].data
         self._step, self._relative = self.found[:1].data, self.found[1:2].data
-        self._run, self._small = machine.run, small
+        self._run, self.small, self.settled = machine.run, small, settled
         self._surfaces = finger, obj
         self._in_space = not any(isinstance(s, ParametricSurface) for s in self._surfaces)
         machine.point[:n] = np.nan  # no last measurement
@@ -199,7 +145,7 @@ class Probe:
 
         point, of_finger : (3,), in the object's frame and, if known, in the finger's
         """
-        step, run, small = self._step, self._run, self._small
+        step, run, small = self._step, self._run, self.small
         x: Any = self._x
         ahead = self._ahead
         if of_finger is None:
@@ -225,6 +171,29 @@ class Probe:
                 if isinstance(surface, ParametricSurface):
                     at[:] = surface._wrap(*at)
         return self.found
+
+    def states(self, what: str) -> np.ndarray:
+        """The states found, (9,); raises errors as :func:`measured_states`, which name `what`."""
+        found = self.found
+        if abs(found[RELATIVE]) <= CONFORMAL:
+            raise ConformalContact(
+                f"{what}: the surfaces conform to each other at the contact, so a twist does "
+                "not determine where they touch; change a radius or a surface"
+            )
+        if found[STEP] > self.settled:
+            raise ContactSystemError(
+                f"{what}: no common normal of the surfaces was found, the next step is "
+                f"{found[STEP]:.3g} m; give a point nearer to the contact"
+            )
+        if not np.isfinite(found[STATES]).all():
+            raise ChartSingularity(
+                f"{what}: measured at a pole, an umbilic or out of sight of an implicit "
+                "surface's center, where there is no contact frame "
+                f"({found[ON_FINGER].tolist()} m on the finger, {found[ON_OBJECT].tolist()} m on "
+                "the object); measure nearby, turn the body's axes so that the "
+                "pole lies elsewhere, or choose another center"
+            )
+        return found[STATES]
 
     def approach(self) -> np.ndarray:
         """A point near which bodies that are apart would touch, in O: (3,), m.

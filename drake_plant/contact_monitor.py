@@ -46,7 +46,7 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from contact_system import Plane, Scene, Surface
 from contact_system.checks import Array, of_kind
-from contact_system.contact_sensor import GAP, ON_FINGER, ON_OBJECT, SLIP, STATES, ContactSensor
+from contact_system.contact_sensor import GAP, ON_FINGER, ON_OBJECT, SLIP, STATES, probes_of
 from contact_system.scene import require_scene
 from contact_system.scene.contact import rolled
 from contact_system.theory import symbols as ca
@@ -278,7 +278,7 @@ class ContactGauges:
     """
 
     def __init__(self, scene: Scene, step: float):
-        self._probes = ContactSensor(scene, TOLERANCE).probes
+        self._probes = probes_of(scene, TOLERANCE)
         steps = [[step]] * len(self._probes)
         self._motions = FingerTables(_motion(), SEEN, steps)
         self._forces = FingerTables(_forces(), PRESSED, [[]] * len(steps))

@@ -36,7 +36,7 @@ from pydrake.solvers import SnoptSolver
 
 from contact_system import Scene, SceneError, Sphere
 from contact_system.checks import Array, did_you_mean
-from contact_system.contact_sensor import NORMAL, ON_FINGER, ON_OBJECT, ContactSensor
+from contact_system.contact_sensor import NORMAL, ON_FINGER, ON_OBJECT, probes_of
 
 from .hand import Hand, own_hand
 
@@ -139,7 +139,7 @@ class Chains:
         plant.Finalize()
         self.context = plant.CreateDefaultContext()
         self._find_joints()
-        self._sensor = ContactSensor(scene)
+        self._probes = probes_of(scene)
         self._pads = [c.finger.normal(*c.finger_at) for c in scene.contacts]
 
     def _find_joints(self) -> None:
@@ -225,7 +225,7 @@ class Chains:
 
         twist : V_OF_O, (6,)
         """
-        probe, X_OF = self._sensor.probes[i], X_WO.inverse() @ self.pose(i)
+        probe, X_OF = self._probes[i], X_WO.inverse() @ self.pose(i)
         probe.seen[:12] = X_OF.GetAsMatrix34().ravel()
         probe.seen[12:18], probe.seen[18:] = twist, 0.0
         centre = X_OF.translation()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from contact_system import __version__
-from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor
+from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, probes_of
 from contact_system.engine.binding import SURFACES, TableData
 from contact_system.planning.motion import Buffer
 from contact_system.surfaces import Ellipsoid, Surface, Torus
@@ -71,8 +71,8 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
     for i, contact in enumerate(scene.contacts):
         orders += _orders(contact.finger, table.first[f"finger {i}"])
         corners |= {stretch.start for stretch in scene.way(i)[1:]}
-    sensed = ContactSensor(scene) if table.measured == "pose" else None
-    limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else 4 * (0.0,)
+    probe = probes_of(scene)[0] if table.measured == "pose" else None
+    limits = (probe.small, MOST_STEPS, probe.settled, CONFORMAL) if probe else 4 * (0.0,)
     starts = [group[0] for group in table.groups]
     owners = np.repeat([-1, *range(len(starts))], np.diff([0, *starts, len(rows)]))
     sizes = {v.reference: v.size for v in (table.joined if table.arrays else rows)}

@@ -10,15 +10,7 @@ from conftest import SURFACES, one_contact
 from oracles.formulas import reflection, slip_of_states
 
 import contact_system as cs
-from contact_system.contact_sensor import (
-    FRAME,
-    GAP,
-    ON_FINGER,
-    ON_OBJECT,
-    SLIP,
-    STATES,
-    ContactSensor,
-)
+from contact_system.contact_sensor import FRAME, GAP, ON_FINGER, ON_OBJECT, SLIP, STATES, probes_of
 
 SCENES = ("K1", "K2", "K3", "K4", "D1", "D3", "C2", "bowl", "torus", "chart", "implicit")
 
@@ -94,13 +86,21 @@ def test_contacts_are_found_below_a_thin_chart_and_far_along_a_wire():
         assert found[0, 4:6] == pytest.approx(object_at, abs=1e-12)
 
 
+def probed(scene, pose, twist, points):
+    """What the probes find, (n, 37)."""
+    rows = []
+    for probe, X_OF, V_OF, point in zip(probes_of(scene), pose, twist, points):
+        probe.seen[:18] = *X_OF[:3].ravel(), *V_OF
+        rows.append(probe.find(point))
+    return np.array(rows)
+
+
 def test_rates_hold_the_slip_measured_at_the_objects_surface():
     scene = cs.load_scene("D1")
     plan = cs.plan(scene)
     pose, twist, points = at(plan, 0.4)
     pose[:, :3, 3] *= 0.998  # pressed in by 0.28 mm
-    sensor = ContactSensor(scene)
-    found = sensor.measure(pose[:, :3].reshape(-1, 12), twist, points)
+    found = probed(scene, pose, twist, points)
     assert found[:, GAP] == pytest.approx(-0.002 * 0.14, rel=1e-9)
     frame, slip = found[:, FRAME].reshape(-1, 3, 3), found[:, SLIP]
     assert slip_of_states(scene, found[None, :, STATES])[0] == pytest.approx(slip, abs=1e-14)
@@ -113,12 +113,11 @@ def test_rates_hold_the_slip_measured_at_the_objects_surface():
 
 def near(scene, pose):
     """What is measured from the grid point that is nearest to the object."""
-    sensor, flat = ContactSensor(scene), pose[:3].ravel()
-    probe = sensor.probes[0]
-    probe.seen[:12] = flat
-    found = sensor.measure(flat[None], np.zeros((1, 6)), probe.approach()[None])
-    sensor.check(found)
-    return found[0]
+    probe = probes_of(scene)[0]
+    probe.seen[:12] = pose[:3].ravel()
+    found = probe.find(probe.approach())
+    probe.states("near")
+    return found
 
 
 def test_a_contact_at_a_pole_leaves_the_others_as_precise_as_ever():
@@ -127,9 +126,9 @@ def test_a_contact_at_a_pole_leaves_the_others_as_precise_as_ever():
     scene = cs.Scene(object=cs.Sphere(0.1), contacts=contacts, profile=profile, duration=1.0)
     plan = cs.plan(scene)
     pose, twist, points = at(plan, 0.3)
-    pose, points = pose[:, :3].reshape(2, 12), points + 0.003
-    pose[0], points[0] = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0.13], [0, 0, 0.1]
-    found = ContactSensor(scene).measure(pose, twist, points)
+    pose[0], pose[0, 2, 3], points = np.eye(4), 0.13, points + 0.003
+    points[0] = 0, 0, 0.1
+    found = probed(scene, pose, twist, points)
     assert np.isnan(found[0, STATES]).any()
     assert found[1, STATES] == pytest.approx(plan.states(0.3)[0, 1], abs=1e-10)
 
