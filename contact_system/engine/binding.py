@@ -157,8 +157,7 @@ ENGINE: Engine = _LIBRARY.contact_engine().contents
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
 moments, facts, _run = ENGINE.moments, ENGINE.facts, ENGINE.run
 step, along, geodesics = ENGINE.step, ENGINE.along, ENGINE.geodesics
-_sign_changes, _rays = ENGINE.sign_changes, ENGINE.rays
-steer = ENGINE.steer
+_sign_changes, rays, steer = ENGINE.sign_changes, ENGINE.rays, ENGINE.steer
 _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
 )
@@ -259,32 +258,6 @@ def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:
     if _run(table.address, *given, address(out)):
         raise MemoryError
     return out
-
-
-def leave(level: Any, numbers: np.ndarray, size: float, ray: np.ndarray) -> np.ndarray:
-    """Distances at which rays from a centre leave a body.
-
-    Parameters
-    ----------
-    level : lowering.Table
-        RAY of a surface without a chart.
-    numbers : (n_const,)
-        The sign of the side, the centre, and what else the table wants.
-    size : float
-        How far to look first.
-    ray : (3, n)
-        Unit vectors.
-
-    Returns
-    -------
-    (n,)
-        0 where the centre is not inside, infinite where a ray stays inside, NaN where the level
-        function is too steep or not a number.
-    """
-    t = np.empty(ray.shape[1])
-    if _rays(level.address, address(numbers), size, len(t), address(ray), address(t)):
-        raise MemoryError
-    return t
 
 
 class Machine:

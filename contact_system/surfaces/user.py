@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import Array, finite_number, finite_numbers
-from ..engine.binding import leave, run
+from ..engine.binding import address, rays, run
 from ..errors import ContactSystemError, SurfaceError
 from ..theory import symbols as ca
 from ..theory.geometry import ChartGeometry, contact_frame, tangent_geometry
@@ -418,7 +418,10 @@ class ImplicitSurface(UserSurface):
         turned = (self.sign * v).ravel()
         across = np.sin(u).ravel()
         ray = np.stack([across * np.cos(turned), across * np.sin(turned), np.cos(u).ravel()])
-        t = leave(self.tables.other[RAY], self.numbers, self.size, ray)
+        t = np.empty(ray.shape[1])
+        given = address(self.numbers), self.size, len(t), address(ray), address(t)
+        if rays(self.tables.other[RAY].address, *given):
+            raise MemoryError
         if not np.all((t > 0) & (t < math.inf)):
             self._refuse(u.ravel(), v.ravel(), t)
         return (np.array(self.center) + (t * ray).T).reshape((*u.shape, 3))
@@ -432,7 +435,11 @@ class ImplicitSurface(UserSurface):
         return bool(abs(slope) < 1e-3 * abs(before))
 
     def _refuse(self, u: Array, v: Array, t: Array) -> NoReturn:
-        """Raise for the first ray that leaves the body at no distance t."""
+        """Raise for the first ray that leaves the body at no distance t.
+
+        t is 0 where the centre is not inside, infinite where a ray stays inside, NaN where the
+        level function is too steep or not a number.
+        """
         i = int(np.argmax(~((t > 0) & (t < math.inf))))
         at = f"(u, v) = ({u[i]}, {v[i]})"
         if t[i] == 0:
