@@ -193,9 +193,6 @@ class SecondDegree(Surface):
         """Return A, (3, 3), 1/m^2."""
         raise NotImplementedError
 
-    def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
-        return self.level_geometry(p, x)[0]
-
     def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         matrix = self._matrix(p)
         gradient = matrix @ x
