@@ -49,8 +49,7 @@ def inputs_of(archive: ZipFile, source: str) -> dict[str, Any]:
         info = archive.getinfo(f"{name}.npy")
         what = f"{info.filename}: bytes when unpacked"
         within("PLAN_BYTES", info.file_size, what, ContactSystemError)
-        data = io.BytesIO(archive.read(info))
-        texts.append(str(np.lib.format.read_array(data, allow_pickle=False)[()]))
+        texts.append(str(np.load(io.BytesIO(archive.read(info)))))
     scene, plan, known = texts
     if known != digest([scene, plan]):
         raise ContactSystemError(
