@@ -29,7 +29,6 @@ The equations are those of `theory`. CasADi is loaded when the first system is m
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 from collections.abc import Iterable, Sequence
@@ -490,7 +489,7 @@ def _turned_frame(surface: Surface, frame: Sequence[float], theta: float) -> lis
 def number_names(surface: Surface, first: int = 0) -> tuple[str, ...]:
     """Names of a surface's parameters, or their indices if they have none, counted from `first`."""
     count = len(surface.parameters)
-    names = tuple(f.name for f in dataclasses.fields(surface) if not f.kw_only)
+    names = surface.__match_args__
     if isinstance(surface, UserSurface):
         named = tuple(surface.named_parameters)
         names = (*(f"center[{first + k}]" for k in range(count - len(named))), *named)
