@@ -62,7 +62,7 @@ class Sampled:
 
     @classmethod
     def of(cls, planned: Plan) -> Sampled:
-        t = planned.regular_times(np.linspace(planned.start, planned.end, SAMPLES))
+        t = np.linspace(planned.start, planned.end, SAMPLES)
         results = planned.evaluate(t, "points", "pose", "slip_speed")
         return cls(planned, t, results["points"], results["pose"], results["slip_speed"])
 
