@@ -345,7 +345,7 @@ class Plan:
         ]
         return Plan(self.scene, self.tolerance, self.method, self.solver, t, starts)
 
-    def save(self, path: str | os.PathLike, times: ArrayLike | None = None) -> None:
+    def save(self, path: str | os.PathLike[str], times: ArrayLike | None = None) -> None:
         """Write the plan and its sampled results.
 
         ``.npz``: the scene (as TOML text), what :func:`load` needs, and t, states, slip, twist,
@@ -457,7 +457,7 @@ def require_plan(value: Any) -> None:
     of_kind(Plan, value, "plan", "a Plan, such as plan(scene)", ContactSystemError)
 
 
-def load(path: str | os.PathLike) -> Plan:
+def load(path: str | os.PathLike[str]) -> Plan:
     """Read a plan saved as .npz and plan it again from the scene inside.
 
     Its results are the same to the last bit. With ``method="chart"`` planning may take seconds;

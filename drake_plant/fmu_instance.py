@@ -84,7 +84,7 @@ class Moment:
 class Instance:
     """One FMU in this process, from a file or folder, until it is freed."""
 
-    def __init__(self, fmu: str | os.PathLike, name: str | None):
+    def __init__(self, fmu: str | os.PathLike[str], name: str | None):
         self._fmu: Any = None
         self._at: Moment | None = None  # where the FMU is
         self._running = False

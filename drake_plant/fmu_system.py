@@ -96,7 +96,7 @@ class FmuSystem(LeafSystem):
 
     def __init__(
         self,
-        fmu: str | os.PathLike,
+        fmu: str | os.PathLike[str],
         *,
         step: float,
         inputs: Names | Mapping[str, Names] | None = None,

@@ -32,7 +32,7 @@ DOTS, APART = 200, 0.02  # most marks on a planned curve, and how far apart, of 
 
 def plot(
     result: SimulationResult,
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     dpi: int = 160,
     opened: SimulationResult | None = None,
 ) -> None:

@@ -15,7 +15,7 @@ from contact_system.errors import ContactSystemError
 from contact_system.writing import writing
 
 
-def target(path: str | os.PathLike) -> Path:
+def target(path: str | os.PathLike[str]) -> Path:
     """The path of a file to write, in a folder that is there."""
     path = a_path(path)
     make_folder(path.parent, "name a file in a folder that you may write to")

@@ -20,7 +20,7 @@ from .variables import variable_table
 
 def export_fmu(
     scene: Scene,
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     fmi_version: str = "2.0",
     interfaces: Sequence[str] = INTERFACES,
     platforms: Sequence[str] = ("native",),

@@ -42,7 +42,7 @@ def reference_files(scene: Scene) -> dict[str, bytes]:
     return {f"{FOLDER}{manifest.name}": manifest.read_bytes(), RESULTS_FILE: text.encode()}
 
 
-def check_fmu(path: str | os.PathLike, bar: float = 1e-10) -> float:
+def check_fmu(path: str | os.PathLike[str], bar: float = 1e-10) -> float:
     """Run an FMU's Co-Simulation by fmpy against the reference results inside it.
 
     Parameters

@@ -24,8 +24,8 @@ _SSD, _SSC = (f"http://ssp-standard.org/SSP1/SystemStructure{x}" for x in ("Desc
 
 
 def export_ssp(
-    models: Mapping[str, Scene | str | os.PathLike],
-    path: str | os.PathLike,
+    models: Mapping[str, Scene | str | os.PathLike[str]],
+    path: str | os.PathLike[str],
     connections: Iterable[tuple[str, str]] = (),
     platforms: Sequence[str] = ("native",),
 ) -> Path:
@@ -76,7 +76,7 @@ def export_ssp(
     return path
 
 
-def _read(name: str, path: str | os.PathLike) -> ModelDescription:
+def _read(name: str, path: str | os.PathLike[str]) -> ModelDescription:
     try:
         found = fmpy.read_model_description(os.fspath(path))
     except Exception as error:  # of a file that anyone may have made

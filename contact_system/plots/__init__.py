@@ -49,7 +49,9 @@ class MissingMatplotlib(ContactSystemError):
 # --- pictures ----------------------------------------------------------------------------------
 
 
-def plot(plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: int = 160) -> None:
+def plot(
+    plan: Plan, path: str | os.PathLike[str], other: Plan | None = None, dpi: int = 160
+) -> None:
     """One picture: contact curves on the object and on a finger, slip beside its exact law.
 
     Parameters
@@ -80,7 +82,7 @@ def plot(plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: in
         _draw_key(right.add_axes((0.53, 0.01, 0.45, 0.39)), plan, laws if slips else ())
 
 
-def plot_curves(plan: Plan, path: str | os.PathLike, dpi: int = 160) -> None:
+def plot_curves(plan: Plan, path: str | os.PathLike[str], dpi: int = 160) -> None:
     """Contact curves in 3-D, on the object and on a finger; see :func:`plot`."""
     require_plan(plan)
     with Picture(path, (12, 6), dpi) as figure:
@@ -91,7 +93,7 @@ def plot_curves(plan: Plan, path: str | os.PathLike, dpi: int = 160) -> None:
 
 
 def plot_slip(
-    plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: int = 160
+    plan: Plan, path: str | os.PathLike[str], other: Plan | None = None, dpi: int = 160
 ) -> None:
     """Slip magnitude of each contact on a log axis beside its exact law; see :func:`plot`."""
     laws = _plans(plan, other)
@@ -108,7 +110,7 @@ def _plans(plan: Plan, other: Plan | None) -> list[Plan]:
 
 
 @contextmanager
-def Picture(path: str | os.PathLike, size: tuple[float, float], dpi: int) -> Iterator[Any]:
+def Picture(path: str | os.PathLike[str], size: tuple[float, float], dpi: int) -> Iterator[Any]:
     """A figure in the common style, written to its path at the end."""
     path, dots = a_path(path), finite_number(dpi, "dpi")
     if not FEWEST <= dots <= MOST:

@@ -24,7 +24,7 @@ from ..errors import ContactSystemError
 from ..plan import plan
 from ..scene import Contact, Disturbance, Scene, load_scene, scene_to_toml
 
-Item = Scene | str | os.PathLike | Callable[[], Scene]
+Item = Scene | str | os.PathLike[str] | Callable[[], Scene]
 """A scene, the name or file of one, or a function that makes one (called where it is planned)."""
 
 Evaluate = Callable[[Any], Mapping[str, ArrayLike]]
