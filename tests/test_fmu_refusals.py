@@ -266,8 +266,8 @@ def test_model_exchange_ends_where_sigma_does(version):
 
 @of_blocks
 def test_steps_end_where_a_profile_of_high_degree_turns_negative(kind, version):
-    one = Instance(one_contact(profile=(0.1, *[0.0] * 38, -1e-30)), kind, version).begin()
-    one.refused("sigma is negative from t = 5.54", one.step, 6.0)
+    one = Instance(one_contact(profile=(0.1, *[0.0] * 62, -1e-48)), kind, version).begin()
+    one.refused("sigma is negative from t = 5.57", one.step, 6.0)
 
 
 @of_versions
