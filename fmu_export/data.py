@@ -19,13 +19,14 @@ from contact_system.surfaces import Ellipsoid, Surface, Torus
 from .model import TOLERANCE, equations, frame_sizes, measured
 from .variables import Table
 
-VERSION, HEADER = 20261202.0, 18
+VERSION, HEADER = 20261203, 27
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
+_SURFACE = "4q2d14q"
 
 
 class _Data:
-    """Doubles, with texts and instructions between them; places count doubles. What several
-    contacts have in common is written once, behind them."""
+    """Numbers of 8 bytes, with texts and instructions between them; places count numbers. What
+    several contacts have in common is written once, behind them."""
 
     def __init__(self) -> None:
         self.parts: list[bytes] = []
@@ -33,19 +34,20 @@ class _Data:
         self.tables: dict[Any, int] = {}
 
     def put(self, data: bytes) -> int:
-        """Add bytes, filled up to whole doubles; returns their place."""
+        """Add bytes, filled up to whole numbers; returns their place."""
         at, data = self.size, data + bytes(-len(data) % 8)
         self.parts.append(data)
         self.size += len(data) // 8
         return at
 
-    def numbers(self, values: Any) -> int:
+    def doubles(self, values: Any) -> int:
         """Add numbers; returns their place."""
         return self.put(np.asarray(values, dtype="<f8").tobytes())
 
-    def rows(self, rows: Sequence[Sequence[float]]) -> int:
-        """Add rows of numbers behind how many they are; returns the place of the first one."""
-        return self.numbers([len(rows), *(x for row in rows for x in row)]) + 1
+    def rows(self, rows: Sequence[Sequence[Any]], form: str = "") -> tuple[int, int]:
+        """Add rows, of whole numbers or of this form; returns place and count."""
+        form = form or f"{len(rows[0]) if rows else 0}q"
+        return self.put(b"".join(struct.pack(f"<{form}", *row) for row in rows)), len(rows)
 
     def texts(self, *values: str) -> int:
         """Add texts; returns their place."""
@@ -55,10 +57,10 @@ class _Data:
         """The number of a table of instructions; -1 of none."""
         return -1 if t is None else self.tables.setdefault(t, len(self.tables))
 
-    def instructions(self, t: Any) -> list[float]:
+    def instructions(self, t: Any) -> list[int]:
         """Add a table's instructions; returns its row."""
         code = (self.put(words.astype("<u2").tobytes()) for words in (t.prologue, t.body))
-        return [*t.sizes, *code, self.numbers(t.literals)]
+        return [*t.sizes, *code, self.doubles(t.literals)]
 
 
 def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
@@ -77,7 +79,7 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
     owners = np.repeat([-1, *range(len(starts))], np.diff([0, *starts, len(rows)]))
     sizes = {v.reference: v.size for v in (table.joined if table.arrays else rows)}
     values = [
-        (owner, KINDS.index(v.kind), sizes.get(r, 0), -np.inf if v.minimum is None else v.minimum)
+        (owner, KINDS.index(v.kind), sizes.get(r, 0))
         for r, (owner, v) in enumerate(zip(owners, rows))
     ]
     windows = [
@@ -86,40 +88,42 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
     ]
     orders += [(at + 1, at) for *_, at in windows]  # stop, start
     engine = Buffer(scene.replace(disturbances=()), TOLERANCE, 0.0, None)
-    numbers = np.frombuffer(engine.numbers)
-    tables = [
-        *data.tables,
-        *(t for s in engine.surfaces for t in s.tables.ambient if t is not None),
-    ]
-    registers = max(TableData.from_address(t.address).n_regs for t in tables)
+    moved = [t for s in engine.surfaces for t in s.tables.ambient if t is not None]
+    registers = (TableData.from_address(t.address).n_regs for t in (*data.tables, *moved))
     surfaces = [_surface(surface, data) for surface in engine.surfaces]
-    head: tuple[float, ...] = (
-        *(table.first["scale"], registers, data.texts(*(v.name for v in rows))),
-        *(data.numbers(table.start_values), data.numbers([rows[r].nominal for r in table.states])),
-        *(data.numbers(limits), data.numbers([len(numbers), *numbers]) + 1, data.rows(values)),
-        *(data.rows(contacts), data.rows(surfaces)),
-        data.rows([data.instructions(t) for t in data.tables]),
-        *(data.rows(windows), data.rows([(t,) for t in sorted(corners)]), data.rows(orders)),
-    )
-    known = repr((__version__, *described)).encode(), np.array(head).tobytes(), *data.parts
+    head = [
+        *(table.first["scale"], max(registers), data.texts(*(v.name for v in rows))),
+        data.doubles(table.start_values),
+        data.doubles([-np.inf if v.minimum is None else v.minimum for v in rows]),
+        *(data.doubles([rows[r].nominal for r in table.states]), data.doubles(limits)),
+        *(data.put(engine.numbers), len(engine.numbers) // 8),
+        *(*data.rows(values), *data.rows(contacts), *data.rows(surfaces, _SURFACE)),
+        *data.rows([data.instructions(t) for t in data.tables]),
+        *(
+            *data.rows(windows),
+            *data.rows([(t,) for t in sorted(corners)], "d"),
+            *data.rows(orders),
+        ),
+    ]
+    known = repr((__version__, described, head)).encode(), *data.parts
     token = "{" + hashlib.sha256(b"".join(known)).hexdigest()[:32] + "}"
-    head += (data.texts(token),)
+    head.append(data.texts(token))
     body = b"".join(data.parts)
-    begin = struct.pack(f"<{HEADER}d", VERSION, data.size, zlib.adler32(body), *head)
+    begin = struct.pack(f"<{HEADER}q", VERSION, data.size, zlib.adler32(body), *head)
     return begin + body, token
 
 
-def _contact(table: Table, i: int, data: _Data) -> list[float]:
+def _contact(table: Table, i: int, data: _Data) -> list[int]:
     """The row of contact i."""
     scene, contact = table.scene, table.scene.contacts[i]
     pair = contact.finger, scene.object
     own, _ = equations(*table.structure(i))
     sensor = own if table.measured == "nothing" else measured(*pair, table.measured)
     unknowns = [3 if s.has_implicit else 2 for s in pair] if table.measured == "pose" else [0, 0]
+    columns, _ = data.rows([table.columns(i)])
     return [
         *(bool(contact.legs), table.first[f"finger {i}"], table.first["object"], *table.groups[i]),
-        *(data.numbers(table.columns(i)), data.table(own), *frame_sizes(*pair)),
-        *(data.table(sensor), *unknowns),
+        *(columns, data.table(own), *frame_sizes(*pair), data.table(sensor), *unknowns),
     ]
 
 
@@ -132,10 +136,10 @@ def _orders(surface: Surface, at: int) -> list[tuple[int, int]]:
     return [(at + i, at + j) for i in count for j in count if numbers[i] > numbers[j]]
 
 
-def _surface(surface: Surface, data: _Data) -> list[float]:
+def _surface(surface: Surface, data: _Data) -> list[Any]:
     """The row of a surface, by its number in the engine or with its tables."""
     if surface.table_name is not None:
-        return [list(SURFACES).index(surface.table_name), *[0.0] * 19]
+        return [list(SURFACES).index(surface.table_name), *[0] * 5, *[-1] * 14]
     own = surface.engine_data
     tables = map(data.table, (*surface.tables.ambient, *surface.tables.chart))
     return [-1, own.n_numbers, own.double_cover, own.flags, own.period_u, own.period_v, *tables]
@@ -146,10 +150,10 @@ def as_c(data: bytes) -> str:
     words = np.frombuffer(data, dtype="<u8").tolist()
     rows = ("%#x, " * 6 + "\n  ") * (len(words) // 6) + "%#x, " * (len(words) % 6)
     return (
-        "/* The scene, see model.h: doubles as their bits on little-endian machines. */\n"
+        "/* The scene, see model.h: its numbers as their bits on little-endian machines. */\n"
         f"static const unsigned long long scene_words[] = {{\n  {rows % tuple(words)}}};\n\n"
-        "static double *scene_data(const char *resources, size_t *count) {\n"
-        "  double *data = malloc(sizeof scene_words);\n"
+        "static void *scene_data(const char *resources, size_t *count) {\n"
+        "  void *data = malloc(sizeof scene_words);\n"
         "  (void)resources;\n"
         "  *count = sizeof scene_words / sizeof *scene_words;\n"
         "  if (data) memcpy(data, scene_words, sizeof scene_words);\n"

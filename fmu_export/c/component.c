@@ -52,7 +52,7 @@ static void forget(component_t *c) {
 static void reset(component_t *c, int stepping) {
   const model_t *m = c->model;
   memset(c->now, 0, memory_size(m));
-  memcpy(c->value, section(m, D_STARTS), (size_t)m->n_values * sizeof(double));
+  memcpy(c->value, data_at(m, m->head->starts), (size_t)m->n_values * sizeof(double));
   c->now->stepping = stepping, c->now->phase = INSTANTIATED;
   c->now->stop_time = c->now->limit = HUGE_VAL;
   forget(c);
@@ -63,20 +63,20 @@ static const char *make_component(component_t *c, const char *resources) {
   const char *wrong;
   if (!(c->model = read_model(resources, &wrong))) return wrong;
   const model_t *m = c->model;
-  const size_t registers = (size_t)m->data[D_REGISTERS];
+  const size_t registers = (size_t)m->head->registers;
   c->engine = contact_engine();
   c->own = new_saved(m);
   c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
   /* what lies there takes no more room than in the model's data, but for windows that are inputs */
-  const size_t scene = (size_t)count_of(m, D_SCENE);
-  c->scene = malloc((scene + (size_t)m->data[D_SIZE] + 3 * WINDOW_SIZE) * sizeof(double));
+  const size_t scene = (size_t)m->head->scene.count;
+  c->scene = malloc((scene + (size_t)m->head->size + 3 * WINDOW_SIZE) * sizeof(double));
   c->grows = malloc((size_t)m->n_values * sizeof *c->grows);
   c->tangents = malloc(registers * sizeof *c->tangents);
   c->registers = malloc(registers * sizeof *c->registers);
   c->along = malloc(registers * sizeof *c->along);
   if (!c->own || !c->live || !c->scene || !c->grows || !c->tangents || !c->registers || !c->along)
     return "no memory";
-  memcpy(c->scene, scene_of(m), scene * sizeof *c->scene);
+  memcpy(c->scene, m->scene, scene * sizeof *c->scene);
   c->scene[S_CONTACTS] = 1, c->scene[S_PANELS] = MOST_PANELS;
   c->room = c->scene + scene;
   c->now = &c->own->memory;
@@ -91,26 +91,26 @@ static const char *make_component(component_t *c, const char *resources) {
 /* ---- what is set ---- */
 
 static status_t check_value(component_t *c, unsigned reference, double value) {
-  const double least = value_row(c->model, reference, R_LEAST);
+  const double *least = data_at(c->model, c->model->head->least);
   if (!(fabs(value) <= DBL_MAX))
     return report(c, DISCARD, "%s = %g is refused; give a finite number",
                   name_of(c->model, reference), value);
-  if (value < least)
+  if (value < least[reference])
     return report(c, DISCARD, "%s = %.9g is refused; give %g or more", name_of(c->model, reference),
-                  value, least);
+                  value, least[reference]);
   return OK;
 }
 
 static void set_value(component_t *c, unsigned reference, double value) {
   if (c->value[reference] == value) return;
   c->value[reference] = value;
-  const long owner = owner_of(c->model, reference);
+  const long owner = (long)c->model->values[reference].owner;
   if (owner < 0)
     forget_values(c);
   else
     c->live[owner].valid = 0;
   c->now->settled = 0;
-  c->changed |= c->now->phase == CONTINUOUS && kind_of(c->model, reference) == INPUT;
+  c->changed |= c->now->phase == CONTINUOUS && c->model->values[reference].kind == INPUT;
 }
 
 /* ---- Model Exchange ---- */

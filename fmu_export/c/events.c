@@ -15,29 +15,30 @@ enum { TRIGGER, MEASURED }; /* places among the inputs of what is measured */
    column. Returns what is wrong, or NULL. */
 static const char *sense(component_t *c, long i, const double states[N_STATES],
                          const double points[6], const double **found) {
-  const double *row = contact_of(c->model, i), *limit = section(c->model, D_SENSOR);
-  const table_t *t = c->model->tables + (long)row[P_SENSOR];
+  const contact_t *k = c->model->contacts + i;
+  const sensor_t *limit = data_at(c->model, c->model->head->sensor);
+  const table_t *t = c->model->tables + k->sensor;
   double *next = c->room, body[BODY_SIZE];
   for (int side = 0; side < 2; side++) put_body(c, i, side, &next, body), *next++ = body[B_LENGTH];
   double *r = load_table(c, t), *x = r;
   const double *y = r + t->first_out;
   for (int side = 0; side < 2; side++) {
-    const long n = (long)row[P_UNKNOWNS + side];
-    memcpy(x, n == 3 ? points + 3 * side : states + 4 * side, (size_t)n * sizeof *x), x += n;
+    const size_t n = (size_t)k->unknowns[side];
+    memcpy(x, n == 3 ? points + 3 * side : states + 4 * side, n * sizeof *x), x += n;
   }
   const long unknowns = x - r;
   memcpy(x, values_of(c, i, OF_MEASURED) + MEASURED, (size_t)(t->n_in - unknowns) * sizeof *x);
-  for (int k = 0;; k++) {
+  for (int steps = 0;; steps++) {
     c->engine->step(&(program_t){t->body, r});
-    if (!(y[unknowns] > limit[N_SMALL]) || k >= (int)limit[N_MOST_STEPS]) break;
+    if (!(y[unknowns] > limit->small) || steps >= limit->most_steps) break;
     memcpy(r, y, (size_t)unknowns * sizeof *r);
   }
   y += unknowns; /* length of the step, relative curvature, states, metric roots */
   *found = y + 2;
-  if (fabs(y[1]) <= limit[N_CONFORMAL])
+  if (fabs(y[1]) <= limit->conformal)
     return "the surfaces conform at the contact, so that a twist does not tell where they touch; "
            "measure states";
-  if (!(y[0] <= limit[N_SETTLED]))
+  if (!(y[0] <= limit->settled))
     return "near its planned place no common normal of the surfaces is found at the measured pose; "
            "give X_OF, the finger's frame in the object's, or resynchronise sooner";
   return all_finite(*found, N_STATES)
@@ -74,7 +75,7 @@ static const char *begin_at(component_t *c, long i, segment_t *s, const double x
 
 /* The segment s of contact i begins where it is measured. Returns what is wrong, or NULL. */
 static const char *begin_measured(component_t *c, long i, segment_t *s) {
-  const int posed = contact_of(c->model, i)[P_UNKNOWNS] > 0;
+  const int posed = c->model->contacts[i].unknowns[0] > 0;
   int sided = posed;
   const double *planned = values_of(c, i, OF_COORDINATES), *points = values_of(c, i, OF_POINTS);
   const double *found;

@@ -195,7 +195,7 @@ static status_t check_one(component_t *c, unsigned reference, double value) {
       /* importers such as CasADi's set continuous states one by one */
       [EXACT] = {BEFORE | EVENT | CONTINUOUS,
                  "is a start value; set it before initialization ends, or use the inputs"}};
-  const int kind = kind_of(c->model, reference);
+  const int kind = (int)c->model->values[reference].kind;
   int phases = rule[kind].phases;
   if (kind == EXACT && c->now->stepping) phases = BEFORE;
   if (kind == TUNABLE && c->uses_events) phases &= ~STEP;
@@ -211,7 +211,7 @@ FMI_EXPORT status_t FMI(GetReal)(void *instance, const unsigned vr[], size_t cou
   if (check_values(c, vr, count, value, ROOM_OF(count, n))) return FAILED;
   status_t worst = OK;
   for (size_t k = 0; k < count; value += SIZE(c, vr[k]), k++) {
-    if (c->now->phase == INSTANTIATED && kind_of(c->model, vr[k]) == CALCULATED)
+    if (c->now->phase == INSTANTIATED && c->model->values[vr[k]].kind == CALCULATED)
       REFUSE("%s is calculated and has no start value; ask from initialization on",
              name_of(c->model, vr[k]));
     const status_t s = get_values(c, vr[k], SIZE(c, vr[k]), value);
@@ -243,7 +243,7 @@ static status_t multiply(component_t *c, int transposed, const unsigned unknowns
   if (transposed) memset(value, 0, n * sizeof *value);
   for (long i = 0; i < c->model->n_contacts; i++) c->live[i].derived = 0;
   EACH_VALUE(r, unknowns, n_unknowns)
-  c->live[owner_of(c->model, r)].derived |= !transposed || seed[at++] != 0.0;
+  c->live[c->model->values[r].owner].derived |= !transposed || seed[at++] != 0.0;
   for (size_t done = 0; done < (transposed ? n : 1); done += L) {
     const size_t more = n - done < L ? n - done : L;
     at = 0;
@@ -277,13 +277,13 @@ static status_t products(component_t *c, int transposed, const unsigned unknowns
   if (check_values(c, from, n_from, seed, n_seed) || check_values(c, to, n_to, value, n))
     return FAILED;
   for (size_t k = 0; k < n_unknowns; k++) {
-    const int kind = kind_of(c->model, unknowns[k]);
+    const int kind = (int)c->model->values[unknowns[k]].kind;
     if (kind != CALCULATED && kind != EXACT)
       REFUSE("%s is not an unknown; give states or calculated variables",
              name_of(c->model, unknowns[k]));
   }
   for (size_t k = 0; k < n_knowns; k++)
-    if (kind_of(c->model, knowns[k]) == CALCULATED)
+    if (c->model->values[knowns[k]].kind == CALCULATED)
       REFUSE("%s is not a known; give inputs, states or parameters", name_of(c->model, knowns[k]));
   status_t s = SYSTEM(c->now) ? OK : settle(c, "values", c->now->time);
   if (!s) s = multiply(c, transposed, unknowns, n_unknowns, knowns, n_knowns, seed, value, n);
@@ -391,7 +391,7 @@ OF_STATES(SetContinuousStates, EVENT | CONTINUOUS, const double, set_states(c, x
 OF_STATES(GetContinuousStates, RUNNING, double, get_states(c, x, 0))
 OF_STATES(GetContinuousStateDerivatives, RUNNING, double, get_states(c, x, 1))
 OF_STATES(GetNominalsOfContinuousStates, ANY, double,
-          (memcpy(x, section(c->model, D_NOMINALS), count * sizeof *x), OK))
+          (memcpy(x, data_at(c->model, c->model->head->nominals), count * sizeof *x), OK))
 
 FMI_EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], size_t count) {
   SYSTEM_ONLY(RUNNING);

@@ -1,8 +1,8 @@
 /* A scene as data: what the FMU's file resources/scene.bin holds, or in FMUs of sources
    scene.inc.
 
-   Doubles, places as offsets from its beginning in doubles; texts and instructions lie between them
-   as bytes. `fmu_export/data.py` writes it, in this order; versions are checked. */
+   Numbers of 8 bytes; places count them from the beginning. Texts and instructions lie between them
+   as bytes. `fmu_export/data.py` writes what stands here, in this order; versions are checked. */
 #ifndef CONTACT_MODEL
 #define CONTACT_MODEL
 #include "engine.h"
@@ -18,32 +18,40 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_VERSION 20261202.0
-enum {
-  D_VERSION,   /* raised with each change; data is known by it */
-  D_SIZE,      /* doubles in all */
-  D_CHECKSUM,  /* of what follows the header, 32 bits */
-  D_SCALE,     /* reference of the factor of the scene's windows */
-  D_REGISTERS, /* that tables have at most */
-  D_NAMES,     /* texts, one after the other, of all values */
-  D_STARTS,    /* numbers, of all values */
-  D_NOMINALS,  /* of all states */
-  D_SENSOR,    /* SENSOR_SIZE numbers */
-  D_SCENE,     /* the engine's buffer, at the start and without windows, behind its size */
-  D_VALUES,    /* from here on rows, before which stands how many; the first values are time, gain,
-                  and the coefficients of the scene's profile */
-  D_CONTACTS,
-  D_SURFACES,
-  D_TABLES,
-  D_WINDOWS,
-  D_CORNERS, /* where legs of any contact begin, ascending */
-  D_ORDERS,  /* pairs of references: the first value stays greater than the second */
-  D_TOKEN,   /* text */
-  D_HEADER
-};
-/* a value: its contact, -1 of all; what it is; how many it is one of, as FMI 3 sees it, 0 behind
-   the first of an array; its least value */
-enum { R_OWNER, R_KIND, R_SIZE, R_LEAST, VALUE_SIZE };
+#define DATA_VERSION 20261203
+
+typedef struct {
+  int64_t at, count;
+} section_t;
+
+typedef struct {
+  int64_t version;    /* raised with each change; data is known by it */
+  int64_t size;       /* numbers in all */
+  int64_t checksum;   /* of what follows the header, 32 bits */
+  int64_t scale;      /* reference of the factor of the scene's windows */
+  int64_t registers;  /* that tables have at most */
+  int64_t names;      /* texts, one after the other, of all values */
+  int64_t starts;     /* double, of all values, */
+  int64_t least;      /* and the least ones that they may have */
+  int64_t nominals;   /* double, of all states */
+  int64_t sensor;     /* sensor_t */
+  section_t scene;    /* double: the engine's buffer, at the start and without windows */
+  section_t values;   /* value_t: time, gain, the coefficients of the scene's profile, and others */
+  section_t contacts; /* contact_t */
+  section_t surfaces; /* shape_t */
+  section_t tables;   /* written_t */
+  section_t windows;  /* window_t */
+  section_t corners;  /* double: where legs of any contact begin, ascending */
+  section_t orders;   /* int64_t[2], references: the first value stays greater than the second */
+  int64_t token;      /* text */
+} head_t;
+
+typedef struct {
+  int64_t owner; /* its contact, -1: of all */
+  int64_t kind;  /* CALCULATED and so on */
+  int64_t size;  /* how many it is the first of, as FMI 3 sees it; 0: not the first of an array */
+} value_t;
+
 /* groups of a contact's values; results are those from the states on */
 enum {
   OF_INPUTS,
@@ -59,46 +67,51 @@ enum {
   GROUPS
 };
 
-/* a contact; the frames among its states are 6 numbers, a point and an axis, or 3, coordinates and
-   an angle */
-enum {
-  P_OWN_LEGS,   /* 0: its only leg has the scene's profile, which is a parameter */
-  P_PARAMETERS, /* references of the first ones of finger and object */
-  P_GROUPS = P_PARAMETERS + 2,
-  P_COLUMNS = P_GROUPS + GROUPS + 1, /* references of its point and constants; -1: of a leg's
-                                        profile */
-  P_SYSTEM,                          /* the table of its equations */
-  P_FRAMES,                          /* sizes of finger's and object's */
-  P_SENSOR = P_FRAMES + 2, /* where it is measured: the table of a step towards the contact, */
-  P_UNKNOWNS,              /* and how many each body has in a pose: 3, a point, 2, coordinates */
-  P_SIZE = P_UNKNOWNS + 2
-};
+typedef struct {
+  int64_t own_legs;           /* 0: its only leg has the scene's profile, which is a parameter */
+  int64_t parameters[2];      /* references of the first ones of finger and object */
+  int64_t groups[GROUPS + 1]; /* references where they begin, and where the last one ends */
+  int64_t columns;   /* int64_t, references of its point and constants; -1: of a leg's profile */
+  int64_t system;    /* the table of its equations */
+  int64_t frames[2]; /* sizes of finger's and object's among its states: 6, a point and an axis, or
+                        3, coordinates and an angle */
+  int64_t sensor;    /* where it is measured: the table of a step towards the contact, */
+  int64_t unknowns[2]; /* and how many each body has in a pose: 3, a point, 2, coordinates */
+} contact_t;
+
 /* what contact_sensor.py finds a contact by: steps so short end it, or so many; steps so short are
    rounding; bodies with so little relative curvature conform */
-enum { N_SMALL, N_MOST_STEPS, N_SETTLED, N_CONFORMAL, SENSOR_SIZE };
-/* a window: its contact, its slot, reference of start, stop and two values */
-enum { V_CONTACT, V_SLOT, V_VALUES, V_SIZE };
+typedef struct {
+  double small, most_steps, settled, conformal;
+} sensor_t;
+
+typedef struct {
+  int64_t contact, slot;
+  int64_t values; /* reference of start, stop and two components */
+} window_t;
+
 /* a surface: which of the engine's, or -1 and what it is; its tables, -1: none */
-enum {
-  F_BUILTIN,
-  F_N_NUMBERS,
-  F_DOUBLE_COVER,
-  F_FLAGS,
-  F_PERIOD_U,
-  F_PERIOD_V,
-  F_AMBIENT,
-  F_CHART = F_AMBIENT + N_AMBIENT,
-  F_SIZE = F_CHART + N_CHART
-};
+typedef struct {
+  int64_t builtin, n_numbers, double_cover, flags;
+  double period_u, period_v;
+  int64_t tables[N_AMBIENT + N_CHART];
+} shape_t;
+
 /* a table: the numbers of table_t in their order; then places */
-enum { T_NUMBERS, T_PROLOGUE = 7, T_BODY, T_LITERALS, T_SIZE };
+typedef struct {
+  int64_t numbers[7], prologue, body, literals;
+} written_t;
 
 enum { TIME_VALUE, GAIN, PROFILE };                                       /* references */
 enum { CALCULATED, INDEPENDENT, CONSTANT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */
 enum { DISTURBANCES = 6, MOST_STATES = 6 + 6 + 4 }; /* of a contact: two frames, W_1 and V */
 
 typedef struct {
-  double *data;
+  head_t *head; /* of the data */
+  const value_t *values;
+  const contact_t *contacts;
+  const window_t *windows;
+  const double *scene;
   const surface_t **surfaces;
   surface_t *own;
   table_t *tables; /* of contacts, and of the user's surfaces */

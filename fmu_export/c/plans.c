@@ -4,10 +4,10 @@
 static void put_body(component_t *c, long i, int side, double **next, double *row) {
   const model_t *m = c->model;
   const int has_lengths = surface_of(m, i, side)->name[0] != 0; /* else it is a user's */
-  const double *given = c->value + parameters_of(m, i, side);
+  const double *given = c->value + m->contacts[i].parameters[side];
   double larger = 1.0, smaller = 1.0;
   memcpy(row, body_of(m, i, side), BODY_SIZE * sizeof *row);
-  const double *own = scene_of(m) + (long)row[B_NUMBERS];
+  const double *own = m->scene + (long)row[B_NUMBERS];
   row[B_NUMBERS] = (double)(*next - c->scene);
   *(*next)++ = *own++; /* the sign */
   for (size_t j = 0; j < n_parameters(m, i, side); j++) {
@@ -43,9 +43,10 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   memcpy(row + K_PLACE_1, s->row + K_PLACE_1, MOMENT_SIZE * sizeof *row);
   double *const first = next;
   for (long k = 0; k < m->n_windows; k++) {
-    const double *w = window_of(c, k), *v = window_values(c, k);
-    if ((long)w[V_CONTACT] == i && v[1] > s->begin)
-      put_window(&next, w[V_SLOT], v[0], v[1], v + 2, c->value[(long)m->data[D_SCALE]]);
+    const window_t *w = m->windows + k;
+    const double *v = window_values(c, k);
+    if (w->contact == i && v[1] > s->begin)
+      put_window(&next, (double)w->slot, v[0], v[1], v + 2, c->value[m->head->scale]);
   }
   for (int slot = 0; slot < 3; slot++)
     if (s->acting[2 * slot] != 0.0 || s->acting[2 * slot + 1] != 0.0)
@@ -76,8 +77,8 @@ static int go_on(component_t *c, plan_t *plan, double t, segment_t *s) {
 static void put_states(const model_t *m, long i, const double *row, double *to) {
   const int frame[2] = {K_FRAME_1, K_FRAME_2}, place[2] = {K_PLACE_1, K_PLACE_2};
   for (int side = 0; side < 2; to += frame_of(m, i, side++)) {
-    const long n = frame_of(m, i, side);
-    memcpy(to, row + (n == 6 ? frame : place)[side], (size_t)n * sizeof *to);
+    const size_t n = frame_of(m, i, side);
+    memcpy(to, row + (n == 6 ? frame : place)[side], n * sizeof *to);
   }
   memcpy(to, row + K_W1, 4 * sizeof *to);
 }

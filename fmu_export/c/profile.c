@@ -19,9 +19,9 @@ static long n_legs(const model_t *m, long i) { return (long)row_of(m, i)[K_LEGS_
 
 /* Where it has no legs, a contact is on one that has the scene's profile. */
 static leg_t leg_of(const component_t *c, long i, long k) {
-  const double *scene = scene_of(c->model);
+  const double *scene = c->model->scene;
   const double *row = scene + (long)row_of(c->model, i)[K_LEGS] + k * LEG_SIZE;
-  const int own = contact_of(c->model, i)[P_OWN_LEGS] > 0;
+  const int own = c->model->contacts[i].own_legs > 0;
   return (leg_t){row[G_START], own ? scene + (long)row[G_PROFILE] : c->value + PROFILE,
                  row + G_TURN, (long)row[G_PROFILE_SIZE]};
 }
@@ -92,20 +92,17 @@ static int past_end(const component_t *c) {
 
 /* ---- windows ---- */
 
-static const double *window_of(const component_t *c, long k) {
-  return section(c->model, D_WINDOWS) + k * V_SIZE;
-}
-
 static const double *window_values(const component_t *c, long k) {
-  return c->value + (long)window_of(c, k)[V_VALUES];
+  return c->value + c->model->windows[k].values;
 }
 
 /* The edges of windows, then the corners of legs */
-static long n_edges(const model_t *m) { return 2 * m->n_windows + count_of(m, D_CORNERS); }
+static long n_edges(const model_t *m) { return 2 * m->n_windows + (long)m->head->corners.count; }
 
 static double edge_of(const component_t *c, long k) {
   const long corner = k - 2 * c->model->n_windows;
-  return corner < 0 ? window_values(c, k / 2)[k % 2] : section(c->model, D_CORNERS)[corner];
+  const double *corners = data_at(c->model, c->model->head->corners.at);
+  return corner < 0 ? window_values(c, k / 2)[k % 2] : corners[corner];
 }
 
 /* The next edge; of a system of equations also where its law changes its form or sigma ends */
@@ -145,5 +142,5 @@ static double snapped(const component_t *c, double time) {
 /* Whether a window acts on contact i at the time that values are of */
 static int acts(const component_t *c, long k, long i) {
   const double *edge = window_values(c, k), at = c->now->acts_at;
-  return (long)window_of(c, k)[V_CONTACT] == i && edge[0] <= at && at < edge[1];
+  return c->model->windows[k].contact == i && edge[0] <= at && at < edge[1];
 }

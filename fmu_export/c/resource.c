@@ -42,14 +42,14 @@ static FILE *open_file(const char *path) { /* UTF-8 */
 static FILE *open_file(const char *path) { return fopen(path, "rb"); }
 #endif
 
-static double *scene_data(const char *resources, size_t *count) {
+static void *scene_data(const char *resources, size_t *count) {
   char path[4096];
   if (!resources) return NULL;
   path_of(resources, path, sizeof path);
   FILE *file = open_file(path);
   if (!file) return NULL;
   const long size = fseek(file, 0, SEEK_END) ? 0 : ftell(file);
-  double *data = size > 0 && size % 8 == 0 && size < 1L << 30 ? malloc((size_t)size) : NULL;
+  void *data = size > 0 && size % 8 == 0 && size < 1L << 30 ? malloc((size_t)size) : NULL;
   *count = (size_t)size / 8;
   if (data && (fseek(file, 0, SEEK_SET) || fread(data, 8, *count, file) != *count))
     free(data), data = NULL;

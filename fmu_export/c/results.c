@@ -58,7 +58,7 @@ static unsigned group_of(const component_t *c, long i, long reference) {
 static status_t refuse(component_t *c, unsigned reference) {
   const memory_t *now = c->now;
   const char *what = name_of(c->model, reference);
-  const long i = owner_of(c->model, reference);
+  const long i = (long)c->model->values[reference].owner;
   if (past_end(c))
     return report(
         c, DISCARD,
@@ -77,18 +77,18 @@ static status_t refuse(component_t *c, unsigned reference) {
 
 /* Refuses the first of these values that there is not. */
 static status_t check_found(component_t *c, unsigned reference, const double *value, long count) {
-  const long owner = owner_of(c->model, reference);
+  const long owner = (long)c->model->values[reference].owner;
   for (long i = 0; i < count; i++) {
     if (fabs(value[i]) <= BEYOND_VALUES) continue;
     const unsigned r = reference + (unsigned)i;
-    if (!(fabs(value[i]) <= DBL_MAX) || (kind_of(c->model, r) == CALCULATED && rests(c, owner)))
+    if (!(fabs(value[i]) <= DBL_MAX) || (c->model->values[r].kind == CALCULATED && rests(c, owner)))
       return refuse(c, r);
   }
   return OK;
 }
 
 static status_t get_values(component_t *c, unsigned reference, long count, double *value) {
-  const long i = owner_of(c->model, reference);
+  const long i = (long)c->model->values[reference].owner;
   if (i >= 0) {
     const unsigned group = group_of(c, i, reference);
     status_t s = group && !SYSTEM(c->now) ? settle(c, "values", c->now->time) : OK;
@@ -103,11 +103,12 @@ static status_t get_values(component_t *c, unsigned reference, long count, doubl
 
 /* Windows on contact i act as its inputs do. */
 static void grow_windows(component_t *c, long i) {
-  const long scale = (long)c->model->data[D_SCALE];
+  const long scale = (long)c->model->head->scale;
   for (long k = 0; k < c->model->n_windows; k++)
     for (int a = 0; a < 2 && acts(c, k, i); a++) {
-      const long at = (long)window_of(c, k)[V_VALUES] + 2 + a;
-      const long input = at_of(c->model, i, OF_INPUTS) + 2 * (int)window_of(c, k)[V_SLOT] + a;
+      const window_t *w = c->model->windows + k;
+      const long at = (long)w->values + 2 + a;
+      const long input = at_of(c->model, i, OF_INPUTS) + 2 * (long)w->slot + a;
       for (int d = 0; d < L; d++)
         c->grows[input][d] += c->value[scale] * c->grows[at][d] + c->value[at] * c->grows[scale][d];
     }
@@ -117,18 +118,18 @@ static void grow_windows(component_t *c, long i) {
 static void grow_results(component_t *c, long i) {
   const long n = n_results(c->model, i);
   const table_t *t = system_of(c->model, i);
-  const double *column = c->model->data + (long)contact_of(c->model, i)[P_COLUMNS];
+  const int64_t *column = data_at(c->model, c->model->contacts[i].columns);
   double (*results)[L] = c->grows + at_of(c->model, i, OF_RATES);
   const size_t room = (size_t)n * sizeof *results;
   int any = 0;
   memset(results, 0, room);
   for (long r = 0; r < t->n_in + t->n_const; r++)
-    for (int d = 0; d < L && column[r] >= 0; d++) any |= c->grows[(long)column[r]][d] != 0.0;
+    for (int d = 0; d < L && column[r] >= 0; d++) any |= c->grows[column[r]][d] != 0.0;
   if (any) {
     /* of a leg's own numbers and of literals nothing grows */
     memset(c->tangents, 0, (size_t)(t->first_lit + t->n_lit) * sizeof *c->tangents);
     for (long r = 0; r < t->n_in + t->n_const; r++)
-      if (column[r] >= 0) memcpy(c->tangents[r], c->grows[(long)column[r]], sizeof *c->tangents);
+      if (column[r] >= 0) memcpy(c->tangents[r], c->grows[column[r]], sizeof *c->tangents);
     UNTRAPPED({
       double *r = load_system(c, i, c->tangents);
       c->engine->along(&(program_t){t->prologue, r}, c->tangents);

@@ -15,8 +15,8 @@ static double *load_table(component_t *c, const table_t *t) {
 static double *load_surface(component_t *c, long i, int side, const table_t *t,
                             double (*numbers)[L]) {
   const size_t n = n_parameters(c->model, i, side);
-  c->room[0] = scene_of(c->model)[(long)body_of(c->model, i, side)[B_NUMBERS]]; /* sign */
-  memcpy(c->room + 1, c->value + parameters_of(c->model, i, side), n * sizeof *c->value);
+  c->room[0] = c->model->scene[(long)body_of(c->model, i, side)[B_NUMBERS]]; /* sign */
+  memcpy(c->room + 1, c->value + c->model->contacts[i].parameters[side], n * sizeof *c->value);
   double *r = load_table(c, t);
   memset(c->along, 0, (size_t)t->n_regs * sizeof *c->along);
   if (numbers) memcpy(c->along + t->n_in + 1, numbers, n * sizeof *numbers);
@@ -29,10 +29,11 @@ static double *load_surface(component_t *c, long i, int side, const table_t *t,
    gradient. Returns what is wrong, or NULL. */
 static const char *put_frame(component_t *c, long i, int side, double frame[6], double (*grows)[L],
                              double (*numbers)[L]) {
-  const double *starts = section(c->model, D_STARTS), *row = row_of(c->model, i);
+  const double *starts = data_at(c->model, c->model->head->starts), *row = row_of(c->model, i);
   const table_t *const *tables = surface_of(c->model, i, side)->ambient, *t = tables[A_START];
-  const double *own = starts + at_of(c->model, i, OF_STATES) + side * frame_of(c->model, i, 0);
-  const long at = parameters_of(c->model, i, side);
+  const double *own =
+      starts + at_of(c->model, i, OF_STATES) + (side ? frame_of(c->model, i, 0) : 0);
+  const int64_t at = c->model->contacts[i].parameters[side];
   const int set =
       memcmp(c->value + at, starts + at, n_parameters(c->model, i, side) * sizeof *starts);
   if (t && (set || grows) && !memcmp(frame, own, 6 * sizeof *frame)) {
@@ -84,7 +85,7 @@ static const char *put_frames(component_t *c, long i, double *states, double (*g
   long numbers = t->n_in + t->n_const;
   for (int side = 0; side < 2; side++) numbers -= (long)n_parameters(m, i, side);
   for (int side = 0; side < 2 && !wrong; side++) {
-    const long from = side * frame_of(m, i, 0);
+    const size_t from = side ? frame_of(m, i, 0) : 0;
     double (*own)[L] = grows ? grows + 1 + from : NULL; /* behind time */
     double (*of)[L] = grows ? grows + numbers : NULL;
     if (frame_of(m, i, side) == 6) UNTRAPPED(wrong = put_frame(c, i, side, states + from, own, of));

@@ -29,7 +29,7 @@ static const char *place_contact(component_t *c, long i) {
   }
   if (!all_finite(s->row, CONTACT_SIZE))
     return "its charts have no coordinates there, as at a pole";
-  const double stop = c->now->stop_time, horizon = scene_of(m)[S_END];
+  const double stop = c->now->stop_time, horizon = m->scene[S_END];
   const double far = stop < HUGE_VAL ? stop : s->begin < horizon ? horizon : s->begin + horizon;
   s->end = end_of(c, s->begin, far, s->begin);
   return NULL;
@@ -39,8 +39,7 @@ static const char *place_contact(component_t *c, long i) {
 static void warm(component_t *c, long i) {
   const double at = c->now->acts_at;
   for (long k = n_edges(c->model); k >= 0; k--) {
-    if (k && k <= 2 * c->model->n_windows && (long)window_of(c, (k - 1) / 2)[V_CONTACT] != i)
-      continue;
+    if (k && k <= 2 * c->model->n_windows && c->model->windows[(k - 1) / 2].contact != i) continue;
     c->now->acts_at = k ? edge_of(c, k - 1) : at;
     for (int g = OF_STATES; g < GROUPS; g++) look(c, i, time_on(c, i), BIT(g));
   }
@@ -50,12 +49,12 @@ static void warm(component_t *c, long i) {
 static status_t start(component_t *c) {
   memory_t *now = c->now;
   const model_t *m = c->model;
-  const double *order = section(m, D_ORDERS);
+  const int64_t *order = data_at(m, m->head->orders.at);
   study_profiles(c);
   if (now->limit <= now->time)
     REFUSE("sigma is negative from t = %.9g s on; change the profile", now->time);
-  for (long k = 0; k < count_of(m, D_ORDERS); k++, order += 2) {
-    const long greater = (long)order[0], less = (long)order[1];
+  for (long k = 0; k < m->head->orders.count; k++, order += 2) {
+    const unsigned greater = (unsigned)order[0], less = (unsigned)order[1];
     if (!(c->value[greater] > c->value[less]))
       REFUSE("%s = %.9g is refused: it must be greater than %s = %.9g; set both, or export a scene "
              "that has this",

@@ -9,11 +9,11 @@ static long n_results(const model_t *m, long i) {
 
 /* Inputs and windows on contact i */
 static void acting_on(const component_t *c, long i, double out[DISTURBANCES]) {
-  const double scale = c->value[(long)c->model->data[D_SCALE]];
+  const double scale = c->value[c->model->head->scale];
   memcpy(out, values_of(c, i, OF_INPUTS), DISTURBANCES * sizeof *out);
   for (long k = 0; k < c->model->n_windows; k++)
     for (int a = 0; a < 2 && acts(c, k, i); a++)
-      out[2 * (int)window_of(c, k)[V_SLOT] + a] += scale * window_values(c, k)[2 + a];
+      out[2 * c->model->windows[k].slot + a] += scale * window_values(c, k)[2 + a];
 }
 
 /* Loads the equations of contact i; returns their registers. Before the start, frames are put on
@@ -24,12 +24,12 @@ static double *load_system(component_t *c, long i, double (*grows)[L]) {
   const long n = states_of(m, i);
   const table_t *t = system_of(m, i);
   const leg_t leg = leg_of(c, i, leg_now(c, i));
-  const double *column = m->data + (long)contact_of(m, i)[P_COLUMNS] + t->n_in;
+  const int64_t *column = (const int64_t *)data_at(m, m->contacts[i].columns) + t->n_in;
   double x[MOST_STATES];
   memcpy(x, values_of(c, i, OF_STATES), (size_t)n * sizeof *x);
   if (c->now->phase == INITIALIZATION) put_frames(c, i, x, grows);
   for (long j = 0, own = 0; j < t->n_const; j++)
-    c->room[j] = column[j] >= 0 ? c->value[(long)column[j]] : own < leg.n ? leg.sigma[own++] : 0.0;
+    c->room[j] = column[j] >= 0 ? c->value[column[j]] : own < leg.n ? leg.sigma[own++] : 0.0;
   double *r = load_table(c, t);
   r[0] = c->now->time - leg.start;
   memcpy(r + 1, x, (size_t)n * sizeof *x);
