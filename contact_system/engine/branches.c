@@ -12,17 +12,15 @@ enum { PANEL_ANCHORS = 4, CIRCLE_ANCHORS = 16 }; /* a panel, a revolution */
 /* one body's path, in the variable of its panels or the phase of its circle */
 typedef struct {
   work_t *w;
-  const body_t *body;
   const track_t *track;
-  int side;
 } path_t;
 
 /* u v u' v' theta in principal values at places x; rates are none */
 static lanes_t principal(const path_t *p, const double *x) {
   const track_t *k = p->track;
-  unit_t *u = table_of(p->w, p->side, 1, A_COORDINATES, p->body);
+  unit_t *u = table_of(p->w, k->body, 1, A_COORDINATES);
   if (k->kind == CIRCLE)
-    circle_at(k, p->body, x, 6, u->r);
+    circle_at(k, x, 6, u->r);
   else
     panels_at(&k->panels, 0, 6, x, u->r);
   fill_lanes(u->r[6], 0.0), fill_lanes(u->r[7], 0.0);
@@ -165,7 +163,7 @@ static void wind_swing(const path_t *p, double x, const double *ref, double x2, 
   const double middle = 0.5 * (x + x2);
   const int swings = fabs(wound(z[THETA][i], ref[2], TURN) - ref[2]) > 0.25 * TURN;
   if (!swings || !(middle > x && middle < x2) || place_on(p, middle, value)) {
-    wind(p->body->surface, ref, z, i);
+    wind(p->track->body->surface, ref, z, i);
     return;
   }
   for (int r = 0; r < N_COORDINATES; r++) half[r][0] = value[r];
@@ -177,7 +175,7 @@ static void wind_swing(const path_t *p, double x, const double *ref, double x2, 
    ref at `from`; bends: whether the path may come back between them */
 static void wind_along(const path_t *p, mark_t from, const double *ref, mark_t to, int bends,
                        lanes_t z, int i) {
-  const surface_t *s = p->body->surface;
+  const surface_t *s = p->track->body->surface;
   if (!s->double_cover) {
     wind_swing(p, from.x, ref, to.x, z, i);
     return;
@@ -241,16 +239,17 @@ static int64_t anchor_places(work_t *w, const track_t *k, const double **out) {
 }
 
 /* Finds the anchors of a track that begins at u v theta. */
-static void anchor_track(work_t *w, const body_t *b, int side, track_t *k, const double *begin) {
+static void anchor_track(work_t *w, track_t *k, const double *begin) {
+  const surface_t *s = k->body->surface;
   const double *at;
   const int64_t n = anchor_places(w, k, &at);
   double (*to)[3] = keep(w, (size_t)(3 * n)), (*raw)[N_COORDINATES];
   free(w->raw);
   if (!(raw = w->raw = malloc((size_t)n * (sizeof *raw + sizeof(mark_t))))) fail(w, NO_MEMORY);
   mark_t *marks = (mark_t *)(raw + n);
-  const path_t p = {w, b, k, side};
+  const path_t p = {w, k};
   raw_anchors(&p, n, at, begin, raw);
-  const int twice = b->surface->double_cover;
+  const int twice = s->double_cover;
   for (int64_t i = 0; i < n; i++)
     marks[i] = (mark_t){at[i], twice ? side_of(raw[i][U], raw[i][V]) : 0.0};
   for (int64_t i = 0; i < n; i++) {
@@ -259,7 +258,7 @@ static void anchor_track(work_t *w, const body_t *b, int side, track_t *k, const
     if (i)
       wind_along(&p, marks[i - 1], to[i - 1], marks[i], twice && bends_before(marks, n, i), z, 0);
     else
-      wind(b->surface, begin, z, 0);
+      wind(s, begin, z, 0);
     to[i][0] = z[U][0], to[i][1] = z[V][0], to[i][2] = z[THETA][0];
   }
   if (k->kind == CIRCLE) /* a revolution later everything is as before but for whole turns */
@@ -297,7 +296,7 @@ static between_t between(const track_t *k, double x, double turns, int64_t *hint
 
 /* One point of a path at x, in principal coordinates, to its branch */
 static void wind_between(const path_t *p, const between_t *w, double x, lanes_t z, int i) {
-  const surface_t *s = p->body->surface;
+  const surface_t *s = p->track->body->surface;
   const double *ref = w->high - x < x - w->low ? w->after : w->before;
   const double u = z[U][i], v = z[V][i];
   if (w->signs) {
@@ -322,7 +321,7 @@ static void wind_between(const path_t *p, const between_t *w, double x, lanes_t 
    Beside a pole v and theta swing by half a turn: there the anchor that is nearer in theta. */
 static void wind_once(const path_t *p, const double *x, const double *turns, lanes_t z, int n) {
   const track_t *k = p->track;
-  const surface_t *s = p->body->surface;
+  const surface_t *s = p->track->body->surface;
   int64_t at = 0;
   for (int i = 0; i < n; i++) {
     at = interval(k->anchor_at, k->n_anchors - 1, x[i], at);
@@ -343,7 +342,7 @@ static void wind_once(const path_t *p, const double *x, const double *turns, lan
 static void wind_all(const path_t *p, const double *x, const double *turns, lanes_t z, int n) {
   int64_t hint = 0;
   between_t w = {.low = HUGE_VAL, .high = -HUGE_VAL};
-  const surface_t *s = p->body->surface;
+  const surface_t *s = p->track->body->surface;
   if (!s->double_cover) {
     wind_once(p, x, turns, z, n);
     return;

@@ -16,7 +16,8 @@ static twofold_t twofold_length(const drive_t *d, double tau) {
 /* ---- great circles ---- */
 
 /* The circle through x with frame p, q, along w */
-static void lay_circle(work_t *w, const body_t *b, const double *state, track_t *k) {
+static void lay_circle(work_t *w, const double *state, track_t *k) {
+  const body_t *b = k->body;
   double q[3];
   run_one(w, b->surface->ambient[A_SECOND], b->numbers, state, q);
   const double pace = hypot(k->w[0], k->w[1]);
@@ -33,12 +34,12 @@ static void lay_circle(work_t *w, const body_t *b, const double *state, track_t 
 }
 
 /* (x, p) at phases, or x alone */
-static void circle_at(const track_t *k, const body_t *b, const double *phase, int rows,
-                      lanes_t state) {
+static void circle_at(const track_t *k, const double *phase, int rows, lanes_t state) {
+  const double radius = k->body->size;
   double s[L], c[L];
   lanes_sincos(phase, s, c);
   for (int j = 0; j < 3; j++) {
-    const double x = k->at[j], e = b->size * k->along[j], back = k->at[j] / b->size;
+    const double x = k->at[j], e = radius * k->along[j], back = k->at[j] / radius;
     const double a0 = k->lean[0], off = k->lean[1] * k->across[j];
     EACH_LANE(i) state[j][i] = x * c[i] + e * s[i];
     if (rows == 3) continue;
@@ -47,14 +48,13 @@ static void circle_at(const track_t *k, const body_t *b, const double *phase, in
 }
 
 /* Phases in [0, 2 pi) at local times, and how many revolutions came before */
-static void phases(const track_t *k, const body_t *b, const double *tau, double *phase,
-                   double *turns) {
+static void phases(const track_t *k, const double *tau, double *phase, double *turns) {
   double length[L];
   horners(k->drive->length, k->drive->n_sigma + 1, tau, length);
   for (int i = 0; i < L; i++) {
     double angle = k->rate * length[i], before = 0.0;
     if (k->far) {
-      const twofold_t rate = over(twofold_norm(k->w[0], k->w[1]), twofold(b->size));
+      const twofold_t rate = over(twofold_norm(k->w[0], k->w[1]), twofold(k->body->size));
       angle = without_turns(times(rate, twofold_length(k->drive, tau[i])), &before);
     }
     const double more = floor(angle / TURN);
@@ -73,18 +73,18 @@ static void chart_slope(work_t *w, const body_t *b, const double *state, const d
   for (int a = 0; a < 2; a++) slope[a] = turned[a] / lame[a];
 }
 
-static void lay_line(work_t *w, const body_t *b, const double *state, track_t *k) {
+static void lay_line(work_t *w, const double *state, track_t *k) {
   memcpy(k->begin, state, sizeof k->begin);
-  chart_slope(w, b, state, k->w, k->slope);
+  chart_slope(w, k->body, state, k->w, k->slope);
   k->kind = LINE;
   const double length = length_at(k->drive, k->stop - k->drive->start);
   for (int a = 0; a < 2; a++)
-    k->far |= fabs(k->slope[a] * length) + fabs(state[a]) > FAR_PHASE * b->size;
+    k->far |= fabs(k->slope[a] * length) + fabs(state[a]) > FAR_PHASE * k->body->size;
 }
 
 /* u, v, theta at local times; with `reduced`, whole turns are taken off long paths. */
-static void line_at(const track_t *k, const body_t *b, const double *tau, int reduced,
-                    lanes_t state) {
+static void line_at(const track_t *k, const double *tau, int reduced, lanes_t state) {
+  const surface_t *s = k->body->surface;
   double length[L], g[1][L];
   horners(k->drive->length, k->drive->n_sigma + 1, tau, length);
   memset(g, 0, sizeof g);
@@ -95,7 +95,7 @@ static void line_at(const track_t *k, const body_t *b, const double *tau, int re
       twofold_t at = times(twofold(k->slope[a]), twofold_length(k->drive, tau[i]));
       double turns;
       at = plus(at, twofold(k->begin[a]));
-      const int closes = (a ? b->surface->period_v : b->surface->period_u) > 0;
+      const int closes = (a ? s->period_v : s->period_u) > 0;
       state[a][i] = closes ? without_turns(at, &turns) : at.high + at.low;
     }
     EACH_LANE(i) state[a][i] += k->offset[a] * tau[i] - k->aside[a] * g[0][i];

@@ -24,9 +24,9 @@ typedef struct {
   double tolerance, slip, finish; /* slip: |V|, 0 without; it ends where |V| decay <= finish */
   double state[MAX_STATES], scale[MAX_STATES]; /* errors are measured in 1/scale */
   /* what `rates` reads */
-  const contact_t *contact;
   const body_t *body;
-  int side, ambient, forced;
+  const double *r0;
+  int ambient, forced;
   const track_t *finger; /* of a forced object whose finger is accelerated */
   double w[2], v[2], push[2], offset[2];
   /* what came out */
@@ -41,8 +41,8 @@ typedef struct {
   double allowed;                /* error of the panel */
 } nodes_t;
 
-static unit_t *table_of(work_t *w, int side, int ambient, int table, const body_t *b) {
-  unit_t *u = &w->body[side][ambient][table];
+static unit_t *table_of(work_t *w, const body_t *b, int ambient, int table) {
+  unit_t *u = &w->body[b->side][ambient][table];
   const table_t *const *tables = ambient ? b->surface->ambient : b->surface->chart;
   if (!load(u, tables[table], b->numbers)) fail(w, NO_MEMORY);
   return u;
@@ -76,9 +76,9 @@ static int state_size(int ambient) { return ambient ? 6 : 3; }
 /* ---- right-hand sides ---- */
 
 /* Chart components d to the parallel frame, Rot(theta)^T M d */
-static lanes_t to_parallel(work_t *w, int side, int ambient, const body_t *b, lanes_t state,
+static lanes_t to_parallel(work_t *w, const body_t *b, int ambient, lanes_t state,
                            const double *d) {
-  unit_t *u = table_of(w, side, ambient, ambient ? A_VECTOR : C_VECTOR, b);
+  unit_t *u = table_of(w, b, ambient, ambient ? A_VECTOR : C_VECTOR);
   const int n = state_size(ambient);
   copy_rows(u->r, state, n);
   fill_lanes(u->r[n], d[0]), fill_lanes(u->r[n + 1], d[1]);
@@ -86,14 +86,14 @@ static lanes_t to_parallel(work_t *w, int side, int ambient, const body_t *b, la
 }
 
 /* whether the last two states are V, with the stiff term -lam V */
-static int has_v(const motion_t *m) { return m->forced && m->side; }
+static int has_v(const motion_t *m) { return m->forced && m->body->side; }
 
 static int any(const double *d) { return d[0] != 0.0 || d[1] != 0.0; }
 
 /* W_2 = R_0 W_1 */
-static void to_object(const contact_t *c, lanes_t w1, lanes_t w2) {
+static void to_object(const double *r0, lanes_t w1, lanes_t w2) {
   for (int a = 0; a < 2; a++) {
-    const double x = c->r0[2 * a], y = c->r0[2 * a + 1];
+    const double x = r0[2 * a], y = r0[2 * a + 1];
     EACH_LANE(i) w2[a][i] = x * w1[0][i] + y * w1[1][i];
   }
 }
@@ -105,9 +105,8 @@ static void follow_finger(work_t *w, const motion_t *m, const double *t, nodes_t
   for (int a = 0; a < 2; a++) fill_lanes(at->pushed[a], 0.0), fill_lanes(at->w2[a], m->w[a]);
   if (!k) return;
   panels_at(&k->panels, 0, k->panels.rows, t, x);
-  to_object(m->contact, x + state_size(k->ambient), at->w2);
-  const body_t *b = &m->contact->body[0];
-  copy_rows(at->pushed, to_parallel(w, 0, k->ambient, b, x, k->push), 2);
+  to_object(m->r0, x + state_size(k->ambient), at->w2);
+  copy_rows(at->pushed, to_parallel(w, k->body, k->ambient, x, k->push), 2);
 }
 
 /* What is known at times t: all but `inverse` and `allowed` */
@@ -126,7 +125,7 @@ static void fill_nodes(work_t *w, const motion_t *m, const double *t, nodes_t *a
 }
 
 static unit_t *motion_table(work_t *w, const motion_t *m) {
-  return table_of(w, m->side, m->ambient, m->ambient ? A_MOTION : C_MOTION, m->body);
+  return table_of(w, m->body, m->ambient, m->ambient ? A_MOTION : C_MOTION);
 }
 
 /* c = sigma (W - V), and what a rate offset adds, moves the body; accelerations change W_1 and V.
@@ -150,27 +149,27 @@ static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x,
       EACH_LANE(i) c[a][i] = sigma[i] * own[a][i];
   }
   if (any(m->offset)) {
-    lanes_t d = to_parallel(w, m->side, m->ambient, m->body, x, m->offset);
+    lanes_t d = to_parallel(w, m->body, m->ambient, x, m->offset);
     for (int a = 0; a < 2; a++)
       EACH_LANE(i) c[a][i] += d[a][i];
   }
   if (!m->forced) return run(u);
   copy_rows(u->r, x, n);
   copy_rows(f, run(u), n);
-  u = pair_table(w, T_PUSHED, m->contact->r0);
+  u = pair_table(w, T_PUSHED, m->r0);
   lanes_t in = u->r + 1; /* accelerations of finger and object */
   copy_rows(u->r, &at->sigma, 1);
   for (int r = 0; r < 4; r++) fill_lanes(in[r], 0.0);
-  if (m->side) copy_rows(in, at->pushed, 2);
+  if (m->body->side) copy_rows(in, at->pushed, 2);
   if (any(m->push))
-    copy_rows(in + 2 * m->side, to_parallel(w, m->side, m->ambient, m->body, x, m->push), 2);
-  copy_rows(f + n, run(u) + 2 * m->side, 2);
+    copy_rows(in + 2 * m->body->side, to_parallel(w, m->body, m->ambient, x, m->push), 2);
+  copy_rows(f + n, run(u) + 2 * m->body->side, 2);
   return f;
 }
 
 /* (x, p) back onto the surface; on lanes, as a compiled twin is faster than `run_one` */
-static void restore_body(work_t *w, int side, const body_t *b, double *state) {
-  unit_t *u = table_of(w, side, 1, A_RESTORE, b);
+static void restore_body(work_t *w, const body_t *b, double *state) {
+  unit_t *u = table_of(w, b, 1, A_RESTORE);
   for (int j = 0; j < 6; j++) fill_lanes(u->r[j], state[j]);
   lanes_t found = run(u);
   for (int j = 0; j < 6; j++) state[j] = found[j][0];
@@ -340,7 +339,7 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
     for (int a = 0; a < 2; a++) reached[n + a] = dot(gauss_last, x[n + a]);
   }
   memcpy(end, reached, (size_t)m->n * sizeof *reached);
-  if (m->body && m->ambient) restore_body(w, m->side, m->body, end);
+  if (m->body && m->ambient) restore_body(w, m->body, end);
   /* what must be put back tells of the panel's error too */
   double back = 0.0, none = 0.0; /* fmax drops a NaN */
   for (int64_t r = 0; r < m->n; r++) {

@@ -3,11 +3,10 @@
 /* ---- one body at local times ---- */
 
 /* Where times are on a track: local time, arc length, or the phase and the revolutions before */
-static void variable(const track_t *k, const body_t *b, const double *tau, double *x,
-                     double *turns) {
+static void variable(const track_t *k, const double *tau, double *x, double *turns) {
   fill_lanes(turns, 0.0);
   if (k->kind == CIRCLE)
-    phases(k, b, tau, x, turns);
+    phases(k, tau, x, turns);
   else if (k->by_length)
     horners(k->drive->length, k->drive->n_sigma + 1, tau, x);
   else
@@ -15,21 +14,21 @@ static void variable(const track_t *k, const body_t *b, const double *tau, doubl
 }
 
 /* The moving frame, (x, p) or (u, v, theta); or its first rows, three at least */
-static void state_at(const track_t *k, const body_t *b, const double *tau, const double *x,
-                     int rows, lanes_t state) {
+static void state_at(const track_t *k, const double *tau, const double *x, int rows,
+                     lanes_t state) {
   if (k->kind == CIRCLE)
-    circle_at(k, b, x, rows, state);
+    circle_at(k, x, rows, state);
   else if (k->kind == LINE)
-    line_at(k, b, tau, 0, state);
+    line_at(k, tau, 0, state);
   else
     panels_at(&k->panels, 0, rows, x, state);
 }
 
-static void track_state(const body_t *b, const track_t *k, double t, double *state) {
+static void track_state(const track_t *k, double t, double *state) {
   double tau[L], x[L], turns[L], found[6][L];
   fill_lanes(tau, t - k->drive->start);
-  variable(k, b, tau, x, turns);
-  state_at(k, b, tau, x, state_size(k->ambient), found);
+  variable(k, tau, x, turns);
+  state_at(k, tau, x, state_size(k->ambient), found);
   for (int j = 0; j < state_size(k->ambient); j++) state[j] = found[j][0];
 }
 
@@ -74,7 +73,7 @@ static void sample_paths(const contact_t *c, sample_t *m) {
   for (int i = 0; i < L; i++) tau[i] = m->t[i] - d->start;
   horners(d->sigma, d->n_sigma, tau, m->sigma);
   for (int side = 0; side < 2; side++) path_velocity(s->w1_panels, s->w[side], tau, m->w[side]);
-  if (s->w1_panels) to_object(c, m->w[0], m->w[1]);
+  if (s->w1_panels) to_object(c->r0, m->w[0], m->w[1]);
   path_velocity(s->v_panels, s->v, tau, m->v);
   if (s->v_panels || !any(s->v)) return;
   decays(d, tau, m->sigma, decay);
@@ -86,20 +85,18 @@ static void sample_paths(const contact_t *c, sample_t *m) {
    without a direction. */
 static const double LOST = 1e-12;
 
-static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, const double *x,
-                             const double *turns, int n) {
+static void find_coordinates(work_t *w, side_t *a, const double *x, const double *turns, int n) {
   const track_t *k = a->track;
-  const body_t *b = &c->body[s];
-  unit_t *u = table_of(w, s, k->ambient, k->ambient ? A_COORDINATES : C_COORDINATES, b);
+  unit_t *u = table_of(w, k->body, k->ambient, k->ambient ? A_COORDINATES : C_COORDINATES);
   const int rows = state_size(k->ambient);
   copy_rows(u->r, a->state, rows);
   copy_rows(u->r + rows, a->velocity, 2);
   copy_rows(a->coordinates, run(u), N_COORDINATES);
   if (k->ambient) {
-    const path_t p = {w, b, k, s};
+    const path_t p = {w, k};
     wind_all(&p, x, turns, a->coordinates, n);
     const lanes_t z = a->coordinates, v = a->velocity;
-    const double lost = LOST * LOST * b->size * b->size;
+    const double lost = LOST * LOST * k->body->size * k->body->size;
     EACH_LANE(i) {
       const double rate = z[DU][i] * z[DU][i] + z[DV][i] * z[DV][i];
       const double none = lost * rate > v[0][i] * v[0][i] + v[1][i] * v[1][i] ? NAN : 0.0;
@@ -110,43 +107,41 @@ static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, co
     for (int i = 0; i < L; i++) a->coordinates[DU + j][i] += k->offset[j];
 }
 
-static void find_one(work_t *w, const contact_t *c, int s, side_t *a, int table, lanes_t state,
-                     lanes_t out, int rows) {
-  unit_t *u = table_of(w, s, a->track->ambient, table, &c->body[s]);
-  copy_rows(u->r, state, state_size(a->track->ambient));
+static void find_one(work_t *w, const track_t *k, int table, lanes_t state, lanes_t out, int rows) {
+  unit_t *u = table_of(w, k->body, k->ambient, table);
+  copy_rows(u->r, state, state_size(k->ambient));
   copy_rows(out, run(u), rows);
 }
 
 /* One body, at n of L times */
-static void sample_body(work_t *w, const contact_t *c, int s, sample_t *m, int n, int needs) {
+static void sample_body(work_t *w, sample_t *m, int s, int n, int needs) {
   side_t *a = &m->side[s];
   const track_t *k = a->track;
-  const body_t *b = &c->body[s];
   double tau[L], x[L], turns[L], far[6][L];
   if (!(needs || any(k->offset))) return;
   for (int i = 0; i < L; i++) tau[i] = m->t[i] - k->drive->start;
-  variable(k, b, tau, x, turns);
+  variable(k, tau, x, turns);
   const int rows = needs == NEED_POINT && !any(k->offset) ? 3 : state_size(k->ambient);
-  state_at(k, b, tau, x, rows, a->state);
+  state_at(k, tau, x, rows, a->state);
   if (needs & (NEED_COORDINATES | NEED_VELOCITY))
     for (int j = 0; j < 2; j++)
       for (int i = 0; i < L; i++)
         a->velocity[j][i] = m->sigma[i] * (m->w[s][j][i] - (s ? m->v[j][i] : 0.0));
-  if (needs & NEED_COORDINATES) find_coordinates(w, c, s, a, x, turns, n);
+  if (needs & NEED_COORDINATES) find_coordinates(w, a, x, turns, n);
   lanes_t state = a->state;
   if (k->kind == LINE && k->far && needs & (NEED_POINT | NEED_FRAME)) {
-    line_at(k, b, tau, 1, far);
+    line_at(k, tau, 1, far);
     state = far;
   }
   if (k->ambient) copy_rows(a->frame, state, needs & NEED_FRAME ? 6 : 3);
   if (needs & NEED_FRAME)
-    k->ambient ? find_one(w, c, s, a, A_SECOND, state, a->frame + 6, 3)
-               : find_one(w, c, s, a, C_FRAME, state, a->frame, 9);
+    k->ambient ? find_one(w, k, A_SECOND, state, a->frame + 6, 3)
+               : find_one(w, k, C_FRAME, state, a->frame, 9);
   else if (needs & NEED_POINT && !k->ambient)
-    find_one(w, c, s, a, C_POINT, state, a->frame, 3);
-  if (needs & NEED_SHAPE) find_one(w, c, s, a, k->ambient ? A_SHAPE : C_SHAPE, state, a->shape, 3);
+    find_one(w, k, C_POINT, state, a->frame, 3);
+  if (needs & NEED_SHAPE) find_one(w, k, k->ambient ? A_SHAPE : C_SHAPE, state, a->shape, 3);
   if (any(k->offset)) {
-    copy_rows(a->offset, to_parallel(w, s, k->ambient, b, a->state, k->offset), 2);
+    copy_rows(a->offset, to_parallel(w, k->body, k->ambient, a->state, k->offset), 2);
     for (int j = 0; j < 2 && needs & NEED_VELOCITY; j++)
       for (int i = 0; i < L; i++) a->velocity[j][i] += a->offset[j][i];
   }
@@ -195,7 +190,7 @@ static void accelerate(work_t *w, const contact_t *c, sample_t *m, lanes_t out) 
     const double *d = s->acting + 2 * k;
     const side_t *a = &m->side[k];
     if (!any(d)) continue;
-    lanes_t found = to_parallel(w, k, a->track->ambient, &c->body[k], (lanes_t)a->state, d);
+    lanes_t found = to_parallel(w, a->track->body, a->track->ambient, (lanes_t)a->state, d);
     copy_rows(u->r + 5 + 2 * k, found, 2);
   }
   copy_rows(out, run(u), 2);
@@ -310,7 +305,7 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t
     const int slides = forced || any(m->segment->v) || any(m->side[1].track->offset);
     int more = accelerated ? NEED_STATE : 0;
     if (s && turned && slides) more |= NEED_COORDINATES;
-    sample_body(w, c, s, m, to->count, needs | more);
+    sample_body(w, m, s, to->count, needs | more);
   }
   if (out[POINTS])
     for (int s = 0; s < 2; s++)
@@ -386,13 +381,14 @@ static void sample_at(const contact_t *c, double t, sample_t *m) {
 }
 
 /* u v theta at a time; returns not 0 where there are none */
-static int place_on_track(work_t *w, const contact_t *c, int side, const track_t *k, double t,
+static int place_on_track(work_t *w, const contact_t *c, const track_t *k, double t,
                           double *place) {
+  const int side = k->body->side;
   sample_t m;
   double sum = 0.0;
   sample_at(c, t, &m);
   m.side[side].track = k;
-  sample_body(w, c, side, &m, 1, NEED_COORDINATES);
+  sample_body(w, &m, side, 1, NEED_COORDINATES);
   const int rows[3] = {U, V, THETA};
   for (int j = 0; j < 3; j++)
     place[j] = m.side[side].coordinates[rows[j]][0], sum += 0.0 * place[j];
@@ -409,10 +405,10 @@ static void anchor_side(work_t *w, contact_t *c, int side, int64_t n) {
   memcpy(place, c->place[side], sizeof place);
   for (int64_t i = 0; i < n; i++) {
     track_t *k = c->tracks[side] + i;
-    if (k->ambient && !k->n_anchors) anchor_track(w, &c->body[side], side, k, place);
+    if (k->ambient && !k->n_anchors) anchor_track(w, k, place);
     if (i + 1 < c->n_tracks[side]) {
       double found[3];
-      if (!place_on_track(w, c, side, k, k->stop, found)) memcpy(place, found, sizeof place);
+      if (!place_on_track(w, c, k, k->stop, found)) memcpy(place, found, sizeof place);
     }
   }
 }
@@ -425,7 +421,7 @@ static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t,
   const double start = k->drive->start, aside = 1e-7 * (k->stop - start);
   const double tried[3] = {t, fmax(t - aside, start), fmin(t + aside, k->stop)};
   for (int i = 0; i < 3; i++)
-    if (!place_on_track(w, c, side, k, tried[i], place)) return;
+    if (!place_on_track(w, c, k, tried[i], place)) return;
   w->failure->contact = c - w->plan->contacts, w->failure->side = side, w->failure->t = t;
   fail(w, SINGULAR_TIME);
 }
@@ -437,12 +433,11 @@ static void moment_of(work_t *w, contact_t *c, double t, double *out) {
   row[K_ANGLE] = c->angle;
   for (int a = 0; a < 2; a++) row[K_W1 + a] = m.w[0][a][0], row[K_Y + a] = m.v[a][0];
   for (int side = 0; side < 2; side++) {
-    const body_t *b = &c->body[side];
     const int64_t which = interval(c->track_edges[side], c->n_tracks[side], t, 0);
     const track_t *k = c->tracks[side] + which;
     double *frame = row + (side ? K_FRAME_2 : K_FRAME_1);
     place_at(w, c, side, which, t, row + (side ? K_PLACE_2 : K_PLACE_1));
-    if (moves_in_space(b->surface)) usual_state(w, side, b, k, t, frame);
+    if (moves_in_space(k->body->surface)) usual_state(w, k, t, frame);
   }
   memcpy(out, row + K_PLACE_1, MOMENT_SIZE * sizeof *out);
 }

@@ -41,25 +41,25 @@ static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, 
   track_t *k = c->c->tracks[side] + n;
   c->c->track_edges[side][n] = d->start, c->c->track_edges[side][n + 1] = HUGE_VAL;
   memset(k, 0, sizeof *k);
-  k->drive = d, k->stop = stop, k->reason = reason;
-  k->ambient = moves_in_space(c->c->body[side].surface);
+  k->body = &c->c->body[side], k->drive = d, k->stop = stop, k->reason = reason;
+  k->ambient = moves_in_space(k->body->surface);
   memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
   return k;
 }
 
 /* ---- states of bodies ---- */
 
-static void track_state(const body_t *b, const track_t *k, double t, double *state);
+static void track_state(const track_t *k, double t, double *state);
 static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t, double *place);
 
 /* The state of a body at a time on a track: (x, p) for a body that moves in space unless disturbed,
    whatever the track's own form is */
-static void usual_state(work_t *w, int side, const body_t *b, const track_t *k, double t,
-                        double *state) {
-  track_state(b, k, t, state);
+static void usual_state(work_t *w, const track_t *k, double t, double *state) {
+  const body_t *b = k->body;
+  track_state(k, t, state);
   if (!moves_in_space(b->surface)) return;
   if (!k->ambient) run_one(w, b->surface->ambient[A_START], b->numbers, state, state);
-  restore_body(w, side, b, state);
+  restore_body(w, b, state);
 }
 
 /* The same where its last track ends */
@@ -69,7 +69,7 @@ static void state_of(course_t *c, int side, double *state) {
   if (n == 0)
     memcpy(state, c->start[side], sizeof c->start[side]);
   else
-    usual_state(c->w, side, &c->c->body[side], last, last->stop, state);
+    usual_state(c->w, last, last->stop, state);
 }
 
 /* The state in the form that an interval needs */
@@ -87,7 +87,7 @@ static void in_form(course_t *c, int side, int ambient, double *state) {
 /* A body from where it stands, in the form that a disturbance allows */
 static motion_t motion_of(course_t *c, int side, const drive_t *d, int disturbed) {
   const body_t *b = &c->c->body[side];
-  motion_t m = {.side = side, .body = b, .contact = c->c, .drive = d, .reach = b->reach};
+  motion_t m = {.body = b, .r0 = c->c->r0, .drive = d, .reach = b->reach};
   m.length = d->stop - d->start;
   m.ambient = in_space(b->surface, disturbed), m.n = state_size(m.ambient);
   in_form(c, side, m.ambient, m.state);
@@ -98,15 +98,16 @@ static motion_t motion_of(course_t *c, int side, const drive_t *d, int disturbed
 
 /* Integrates a motion and makes it a track, which ends at `stop` or where the motion does. */
 static track_t *add_motion(course_t *c, motion_t *m, double stop, int reason) {
-  c->w->failure->side = m->side;
+  const int side = m->body->side;
+  c->w->failure->side = side;
   integrate(c->w, m, c->w->plan->tolerance);
   if (m->reached < m->length) stop = m->drive->start + m->reached;
-  track_t *k = add_track(c, m->side, m->drive, stop, reason);
+  track_t *k = add_track(c, side, m->drive, stop, reason);
   k->kind = PANELS, k->panels = kept_panels(c->w, m);
   k->ambient = m->ambient, k->by_length = m->by_length;
   memcpy(k->push, m->push, sizeof k->push);
   memcpy(k->offset, m->offset, sizeof k->offset);
-  require_regular(c->w, m->side, m->body, k);
+  require_regular(c->w, k);
   return k;
 }
 
@@ -128,7 +129,7 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
     double state[6];
     state_of(c, side, state);
     track_t *k = add_track(c, side, drive, stop, reason);
-    (closed == GREAT_CIRCLES ? lay_circle : lay_line)(c->w, b, state, k);
+    (closed == GREAT_CIRCLES ? lay_circle : lay_line)(c->w, state, k);
     return;
   }
   motion_t m = motion_of(c, side, drive, 0);
@@ -168,10 +169,10 @@ static void line(course_t *c, const drive_t *d, const double *offset, int matter
   state_of(c, 1, state);
   track_t *k = add_track(c, 1, d, d->stop, reason_of(c, offset));
   memcpy(k->offset, offset, sizeof k->offset);
-  lay_line(c->w, &c->c->body[1], state, k);
+  lay_line(c->w, state, k);
   if (!matters) return; /* what is left of slip shows in the rates alone */
   k->panels = slip_length(c, d);
-  chart_slope(c->w, &c->c->body[1], state, c->v, k->aside);
+  chart_slope(c->w, k->body, state, c->v, k->aside);
 }
 
 /* Develops the object while a rate offset lasts, or slip that moves the contact by more than the
@@ -296,9 +297,13 @@ static void refuse_endless(course_t *c) {
   }
 }
 
-static body_t body_of(const plan_t *plan, const double *row) {
-  return (body_t){plan->surfaces[(int64_t)row[B_SURFACE]], plan->scene + (int64_t)row[B_NUMBERS],
-                  row[B_LENGTH], row[B_BEND], row[B_REACH]};
+static body_t body_of(const plan_t *plan, const double *row, int side) {
+  return (body_t){plan->surfaces[(int64_t)row[B_SURFACE]],
+                  plan->scene + (int64_t)row[B_NUMBERS],
+                  row[B_LENGTH],
+                  row[B_BEND],
+                  row[B_REACH],
+                  side};
 }
 
 /* W_1, W_2, V and R_0 where a contact starts, and its bodies' states */
@@ -319,7 +324,7 @@ static void begin(course_t *c) {
       memcpy(start, place, sizeof c->c->place[side]);
     } else if (any(p) || p[2] != 0.0) {
       memcpy(start, frame, sizeof c->start[side]);
-      restore_body(c->w, side, b, start);
+      restore_body(c->w, b, start);
     } else {
       run_one(c->w, b->surface->ambient[A_START], b->numbers, place, start);
     }
@@ -359,8 +364,8 @@ static void plan_contact(work_t *w, int64_t index) {
   c.row = plan->scene + S_HEADER + index * CONTACT_SIZE;
   c.follows = c.row[K_FOLLOWS] > 0;
   w->failure->contact = index;
-  own->body[0] = body_of(plan, c.row + K_FINGER);
-  own->body[1] = body_of(plan, plan->scene + S_OBJECT);
+  own->body[0] = body_of(plan, c.row + K_FINGER, 0);
+  own->body[1] = body_of(plan, plan->scene + S_OBJECT, 1);
   begin(&c);
   schedule(w, c.row, own);
   refuse_endless(&c);

@@ -8,9 +8,9 @@
 static const double TURNED_OVER = -0.7;
 
 /* Normals at places xi of a panel, and u v theta there */
-static void normals(work_t *w, int side, const body_t *b, const track_t *k, int64_t panel,
-                    const double *xi, lanes_t place, double (*out)[3]) {
-  unit_t *u = table_of(w, side, 0, C_FRAME, b);
+static void normals(work_t *w, const track_t *k, int64_t panel, const double *xi, lanes_t place,
+                    double (*out)[3]) {
+  unit_t *u = table_of(w, k->body, 0, C_FRAME);
   series_at(k->panels.series + panel * k->panels.rows * TERMS, 3, xi, place);
   copy_rows(u->r, place, 3);
   lanes_t p = run(u) + 3, q = p + 3;
@@ -24,28 +24,28 @@ static void normals(work_t *w, int side, const body_t *b, const track_t *k, int6
 /* Fails where the normal turns over, or there is none, on a part of a panel: in equal parts of it,
    and of these, as a smooth normal may turn far in one. before: the normal where the part begins,
    then where it ends */
-static void look_at_part(work_t *w, int side, const body_t *b, const track_t *k, int64_t panel,
-                         double low, double high, double *before) {
+static void look_at_part(work_t *w, const track_t *k, int64_t panel, double low, double high,
+                         double *before) {
   double n[L][3], place[3][L], xi[L];
   for (int i = 0; i < L; i++) xi[i] = low + (high - low) / (L - 1) * i;
   xi[L - 1] = high; /* to the last bit, as it is a place of the whole too */
-  normals(w, side, b, k, panel, xi, place, n);
+  normals(w, k, panel, xi, place, n);
   for (int i = 0; i < L; i++) {
     const double turned = n[i][0] * before[0] + n[i][1] * before[1] + n[i][2] * before[2];
     if (!(turned > TURNED_OVER)) {
       if (i == 0 || high - low < 1e-14) {
         failure_t *e = w->failure;
-        e->side = side, e->u = place[0][i], e->v = place[1][i];
+        e->side = k->body->side, e->u = place[0][i], e->v = place[1][i];
         fail(w, SINGULAR_CHART);
       }
-      look_at_part(w, side, b, k, panel, xi[i - 1], xi[i], before);
+      look_at_part(w, k, panel, xi[i - 1], xi[i], before);
     }
     memcpy(before, n[i], sizeof n[i]);
   }
 }
 
-static void require_regular(work_t *w, int side, const body_t *b, const track_t *k) {
+static void require_regular(work_t *w, const track_t *k) {
   double before[3] = {0.0};
-  if (k->ambient || !(b->surface->flags & MAY_BE_SINGULAR)) return;
-  for (int64_t p = 0; p < k->panels.n; p++) look_at_part(w, side, b, k, p, -1.0, 1.0, before);
+  if (k->ambient || !(k->body->surface->flags & MAY_BE_SINGULAR)) return;
+  for (int64_t p = 0; p < k->panels.n; p++) look_at_part(w, k, p, -1.0, 1.0, before);
 }

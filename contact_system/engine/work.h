@@ -25,6 +25,7 @@ typedef struct {
   const surface_t *surface;
   const double *numbers;
   double size, bend, reach; /* m, m, sizes that a panel grows to */
+  int side;                 /* 0: the finger, 1: the object */
 } body_t;
 
 /* a motion as Chebyshev series: edges[n + 1], series[n][rows][L + 1] */
@@ -35,6 +36,7 @@ typedef struct {
 
 /* One body on one interval */
 typedef struct {
+  const body_t *body;
   double stop; /* it starts with its drive */
   int64_t kind, by_length, reason;
   int ambient;
