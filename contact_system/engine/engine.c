@@ -52,7 +52,6 @@ static plan_t *make_plan(const double *scene, int64_t size, const surface_t *con
   plan->scene = keep(&w, (size_t)size);
   memcpy(plan->scene, scene, (size_t)size * sizeof *scene);
   plan->surfaces = surfaces;
-  plan->tolerance = scene[S_TOLERANCE], plan->begin = scene[S_BEGIN], plan->end = scene[S_END];
   plan->contacts = keep_items(&w, (int64_t)scene[S_CONTACTS], sizeof(contact_t));
   memset(plan->contacts, 0, (size_t)scene[S_CONTACTS] * sizeof(contact_t));
   for (; plan->n_contacts < (int64_t)scene[S_CONTACTS]; plan->n_contacts++) {
@@ -91,8 +90,9 @@ static int anchor(plan_t *plan, failure_t *failure) {
 static int evaluate(const plan_t *plan, int64_t n, const double *t, double *const *out,
                     failure_t *failure) {
   work_t own, *const w = enter(plan, &own, failure);
+  const double begin = plan->scene[S_BEGIN], end = plan->scene[S_END];
   for (int64_t i = 0; i < n; i++)
-    if (!(t[i] >= plan->begin && t[i] <= plan->end)) failure->code = OUTSIDE;
+    if (!(t[i] >= begin && t[i] <= end)) failure->code = OUTSIDE;
   if (failure->code) return leave(w);
   if (setjmp(w->jump) == 0)
     for (int64_t i = 0; i < plan->n_contacts; i++) {

@@ -226,7 +226,8 @@ static void put_states(const target_t *to, const contact_t *c, const sample_t *m
   for (int s = 0; s < 2; s++)
     for (int j = 0; j < 4; j++) put(to, STATES, 4 * s + j, m->side[s].coordinates[j]);
   for (int i = 0; i < L; i++)
-    psi[i] = c->angle - (m->side[0].coordinates[THETA][i] + m->side[1].coordinates[THETA][i]);
+    psi[i] =
+        c->row[K_ANGLE] - (m->side[0].coordinates[THETA][i] + m->side[1].coordinates[THETA][i]);
   put(to, STATES, 8, psi);
 }
 
@@ -402,7 +403,7 @@ static void anchor_side(work_t *w, contact_t *c, int side, int64_t n) {
   while (known < n && (!c->tracks[side][known].ambient || c->tracks[side][known].n_anchors))
     known++;
   if (known == n) return;
-  memcpy(place, c->place[side], sizeof place);
+  memcpy(place, begins_at(c, side), sizeof place);
   for (int64_t i = 0; i < n; i++) {
     track_t *k = c->tracks[side] + i;
     if (k->ambient && !k->n_anchors) anchor_track(w, k, place);
@@ -430,7 +431,7 @@ static void moment_of(work_t *w, contact_t *c, double t, double *out) {
   sample_t m;
   double row[CONTACT_SIZE] = {0};
   sample_at(c, t, &m);
-  row[K_ANGLE] = c->angle;
+  row[K_ANGLE] = c->row[K_ANGLE];
   for (int a = 0; a < 2; a++) row[K_W1 + a] = m.w[0][a][0], row[K_Y + a] = m.v[a][0];
   for (int side = 0; side < 2; side++) {
     const int64_t which = interval(c->track_edges[side], c->n_tracks[side], t, 0);

@@ -108,8 +108,9 @@ static int64_t knots_of(work_t *w, const double *row, double **out) {
 }
 
 /* The segments of a contact */
-static void schedule(work_t *w, const double *row, contact_t *c) {
-  const double *scene = w->plan->scene, *windows = scene + (int64_t)row[K_WINDOWS];
+static void schedule(work_t *w, contact_t *c) {
+  const double *row = c->row, *scene = w->plan->scene;
+  const double *windows = scene + (int64_t)row[K_WINDOWS];
   const double *leg = scene + (int64_t)row[K_LEGS];
   const double *last = leg + ((int64_t)row[K_LEGS_SIZE] - 1) * LEG_SIZE;
   double *edges;

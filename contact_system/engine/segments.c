@@ -21,9 +21,7 @@ static const double ENDLESS = 1e11;
 typedef struct {
   work_t *w;
   contact_t *c;
-  const double *row;                      /* the contact in the buffer */
   double start[2][6], w1[2], w2[2], v[2]; /* start: x p or u v theta of both bodies */
-  int follows;
 } course_t;
 
 static int moves_in_space(const surface_t *s) { return s->ambient[A_MOTION] != NULL; }
@@ -32,6 +30,11 @@ static int moves_in_space(const surface_t *s) { return s->ambient[A_MOTION] != N
    to the branch that the path is on, which only the chart form knows. */
 static int in_space(const surface_t *s, int disturbed) {
   return moves_in_space(s) && !(disturbed && s->double_cover);
+}
+
+/* u v theta of a body where the contact begins */
+static const double *begins_at(const contact_t *c, int side) {
+  return c->row + (side ? K_PLACE_2 : K_PLACE_1);
 }
 
 static double norm(const double *d) { return hypot(d[0], d[1]); }
@@ -77,7 +80,7 @@ static void in_form(course_t *c, int side, int ambient, double *state) {
   if (moves_in_space(c->c->body[side].surface) == ambient)
     state_of(c, side, state);
   else if (c->c->n_tracks[side] == 0)
-    memcpy(state, c->c->place[side], sizeof c->c->place[side]);
+    memcpy(state, begins_at(c->c, side), 3 * sizeof *state);
   else
     place_at(c->w, c->c, side, c->c->n_tracks[side] - 1, HUGE_VAL, state);
 }
@@ -100,7 +103,7 @@ static motion_t motion_of(course_t *c, int side, const drive_t *d, int disturbed
 static track_t *add_motion(course_t *c, motion_t *m, double stop, int reason) {
   const int side = m->body->side;
   c->w->failure->side = side;
-  integrate(c->w, m, c->w->plan->tolerance);
+  integrate(c->w, m, c->w->plan->scene[S_TOLERANCE]);
   if (m->reached < m->length) stop = m->drive->start + m->reached;
   track_t *k = add_track(c, side, m->drive, stop, reason);
   k->kind = PANELS, k->panels = kept_panels(c->w, m);
@@ -124,7 +127,7 @@ static double first_length(const body_t *b) { return FIRST * sqrt(b->bend * b->s
 static void geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
   const body_t *b = &c->c->body[side];
   /* with imposed rolling, that the finger's curve is a geodesic is a result, not an assumption */
-  const int closed = c->follows && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
+  const int closed = reason == FOLLOWING && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
   if (closed != NO_CLOSED_FORM) {
     double state[6];
     state_of(c, side, state);
@@ -193,12 +196,13 @@ static double free_object(course_t *c, const segment_t *s, double stop) {
   const double *offset = s->acting + 4;
   const body_t *b = &c->c->body[1];
   const double slip = norm(c->v);
-  const double negligible = NEGLIGIBLE_PART * b->size * d->per_metre * c->w->plan->tolerance;
+  const double negligible =
+      NEGLIGIBLE_PART * b->size * d->per_metre * c->w->plan->scene[S_TOLERANCE];
   double reached = d->stop;
   if (b->surface->closed == DEVELOPABLE && (slip > 0 || any(offset)))
     line(c, d, offset, slip > ROUNDING * b->size * d->per_metre);
   else if (slip == 0 && !any(offset))
-    geodesic(c, 1, d, reached = stop, c->follows ? FOLLOWING : NO_SLIP);
+    geodesic(c, 1, d, reached = stop, c->c->row[K_FOLLOWS] > 0 ? FOLLOWING : NO_SLIP);
   else if (slip <= negligible && !any(offset))
     geodesic(c, 1, d, d->stop, NEGLIGIBLE);
   else {
@@ -308,20 +312,19 @@ static body_t body_of(const plan_t *plan, const double *row, int side) {
 
 /* W_1, W_2, V and R_0 where a contact starts, and its bodies' states */
 static void begin(course_t *c) {
-  const double *row = c->row;
+  const double *row = c->c->row;
   double found[8], in[5] = {row[K_ANGLE], row[K_W1], row[K_W1 + 1], row[K_Y], row[K_Y + 1]};
   run_one(c->w, contact_tables + T_START, NULL, in, found);
   memcpy(c->c->r0, found, sizeof c->c->r0);
   memcpy(c->w1, row + K_W1, sizeof c->w1), memcpy(c->w2, found + 4, sizeof c->w2);
   memcpy(c->v, row[K_MOMENT] > 0 ? row + K_Y : found + 6, sizeof c->v);
-  c->c->angle = row[K_ANGLE];
   for (int side = 0; side < 2; side++) {
     const body_t *b = &c->c->body[side];
-    double *place = c->c->place[side], *start = c->start[side];
-    memcpy(place, row + (side ? K_PLACE_2 : K_PLACE_1), sizeof c->c->place[side]);
+    const double *place = begins_at(c->c, side);
     const double *frame = row + (side ? K_FRAME_2 : K_FRAME_1), *p = frame + 3;
+    double *start = c->start[side];
     if (!moves_in_space(b->surface)) {
-      memcpy(start, place, sizeof c->c->place[side]);
+      memcpy(start, place, 3 * sizeof *start);
     } else if (any(p) || p[2] != 0.0) {
       memcpy(start, frame, sizeof c->start[side]);
       restore_body(c->w, b, start);
@@ -347,7 +350,7 @@ static void plan_segment(course_t *c, int64_t index, double *until) {
     until[0] = d->stop;
   } else if (until[0] <= d->start) {
     until[0] = free_until(c, 0, index);
-    geodesic(c, 0, d, until[0], c->follows ? FOLLOWING : UNPUSHED);
+    geodesic(c, 0, d, until[0], c->c->row[K_FOLLOWS] > 0 ? FOLLOWING : UNPUSHED);
   }
   if (any(s->acting) || any(s->acting + 2)) {
     forced(c, s);
@@ -361,19 +364,18 @@ static void plan_contact(work_t *w, int64_t index) {
   plan_t *plan = w->plan;
   contact_t *own = plan->contacts + index;
   course_t c = {.w = w, .c = own};
-  c.row = plan->scene + S_HEADER + index * CONTACT_SIZE;
-  c.follows = c.row[K_FOLLOWS] > 0;
+  own->row = plan->scene + S_HEADER + index * CONTACT_SIZE;
   w->failure->contact = index;
-  own->body[0] = body_of(plan, c.row + K_FINGER, 0);
+  own->body[0] = body_of(plan, own->row + K_FINGER, 0);
   own->body[1] = body_of(plan, plan->scene + S_OBJECT, 1);
   begin(&c);
-  schedule(w, c.row, own);
+  schedule(w, own);
   refuse_endless(&c);
   for (int side = 0; side < 2; side++) {
     const int64_t most = (1 + side) * own->n_segments;
     own->tracks[side] = keep_items(w, most, sizeof(track_t));
     own->track_edges[side] = keep(w, (size_t)most + 1);
   }
-  double until[2] = {plan->begin, plan->begin};
+  double until[2] = {plan->scene[S_BEGIN], plan->scene[S_BEGIN]};
   for (int64_t k = 0; k < own->n_segments; k++) plan_segment(&c, k, until);
 }

@@ -66,9 +66,9 @@ typedef struct {
 } segment_t;
 
 typedef struct {
+  const double *row; /* in the buffer */
   body_t body[2];
-  double angle, r0[4];
-  double place[2][3]; /* u v theta where it begins */
+  double r0[4];
   int64_t n_tracks[2], n_segments;
   track_t *tracks[2];
   segment_t *segments;
@@ -78,7 +78,6 @@ typedef struct {
 struct plan {
   double *scene;
   const surface_t *const *surfaces;
-  double tolerance, begin, end;
   int64_t n_contacts;
   contact_t *contacts;
   block_t *memory;
