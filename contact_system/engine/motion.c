@@ -71,6 +71,7 @@ static void run_one(work_t *w, const table_t *t, const double *constants, const 
   memcpy(out, r + t->first_out, (size_t)t->n_out * sizeof *out);
 }
 
+static int moves_in_space(const surface_t *s) { return s->ambient[A_MOTION] != NULL; }
 static int state_size(int ambient) { return ambient ? 6 : 3; }
 
 /* ---- right-hand sides ---- */

@@ -24,14 +24,6 @@ static void state_at(const track_t *k, const double *tau, const double *x, int r
     panels_at(&k->panels, 0, rows, x, state);
 }
 
-static void track_state(const track_t *k, double t, double *state) {
-  double tau[L], x[L], turns[L], found[6][L];
-  fill_lanes(tau, t - k->drive->start);
-  variable(k, tau, x, turns);
-  state_at(k, tau, x, state_size(k->ambient), found);
-  for (int j = 0; j < state_size(k->ambient); j++) state[j] = found[j][0];
-}
-
 /* W_1 or V where accelerations change it, else as it is */
 static void path_velocity(const panels_t *panels, const double *constant, const double *tau,
                           lanes_t out) {
@@ -373,6 +365,26 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
 }
 
 /* ---- branches, and where contacts have come to ---- */
+
+/* u v theta of a body where the contact begins */
+static const double *begins_at(const contact_t *c, int side) {
+  return c->row + (side ? K_PLACE_2 : K_PLACE_1);
+}
+
+/* The state of a body at a time on a track: (x, p) for a body that moves in space unless disturbed,
+   whatever the track's own form is */
+static void usual_state(work_t *w, const track_t *k, double t, double *state) {
+  const body_t *b = k->body;
+  const int n = state_size(k->ambient);
+  double tau[L], x[L], turns[L], found[6][L];
+  fill_lanes(tau, t - k->drive->start);
+  variable(k, tau, x, turns);
+  state_at(k, tau, x, n, found);
+  for (int j = 0; j < n; j++) state[j] = found[j][0];
+  if (!moves_in_space(b->surface)) return;
+  if (!k->ambient) run_one(w, b->surface->ambient[A_START], b->numbers, state, state);
+  restore_body(w, b, state);
+}
 
 /* Path velocities at a time */
 static void sample_at(const contact_t *c, double t, sample_t *m) {

@@ -21,20 +21,13 @@ static const double ENDLESS = 1e11;
 typedef struct {
   work_t *w;
   contact_t *c;
-  double start[2][6], w1[2], w2[2], v[2]; /* start: x p or u v theta of both bodies */
+  double w1[2], w2[2], v[2];
 } course_t;
-
-static int moves_in_space(const surface_t *s) { return s->ambient[A_MOTION] != NULL; }
 
 /* A disturbance is given in chart components. Where the chart is a double cover their sign belongs
    to the branch that the path is on, which only the chart form knows. */
 static int in_space(const surface_t *s, int disturbed) {
   return moves_in_space(s) && !(disturbed && s->double_cover);
-}
-
-/* u v theta of a body where the contact begins */
-static const double *begins_at(const contact_t *c, int side) {
-  return c->row + (side ? K_PLACE_2 : K_PLACE_1);
 }
 
 static double norm(const double *d) { return hypot(d[0], d[1]); }
@@ -52,27 +45,23 @@ static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, 
 
 /* ---- states of bodies ---- */
 
-static void track_state(const track_t *k, double t, double *state);
-static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t, double *place);
-
-/* The state of a body at a time on a track: (x, p) for a body that moves in space unless disturbed,
-   whatever the track's own form is */
-static void usual_state(work_t *w, const track_t *k, double t, double *state) {
-  const body_t *b = k->body;
-  track_state(k, t, state);
-  if (!moves_in_space(b->surface)) return;
-  if (!k->ambient) run_one(w, b->surface->ambient[A_START], b->numbers, state, state);
-  restore_body(w, b, state);
-}
-
-/* The same where its last track ends */
+/* The state of a body where its last track ends, or where the contact begins */
 static void state_of(course_t *c, int side, double *state) {
-  const int64_t n = c->c->n_tracks[side];
-  const track_t *last = c->c->tracks[side] + n - 1;
-  if (n == 0)
-    memcpy(state, c->start[side], sizeof c->start[side]);
-  else
+  const contact_t *own = c->c;
+  const int64_t n = own->n_tracks[side];
+  const body_t *b = &own->body[side];
+  const double *frame = own->row + (side ? K_FRAME_2 : K_FRAME_1), *p = frame + 3;
+  if (n > 0) {
+    const track_t *last = own->tracks[side] + n - 1;
     usual_state(c->w, last, last->stop, state);
+  } else if (!moves_in_space(b->surface)) {
+    memcpy(state, begins_at(own, side), 3 * sizeof *state);
+  } else if (any(p) || p[2] != 0.0) {
+    memcpy(state, frame, 6 * sizeof *state);
+    restore_body(c->w, b, state);
+  } else {
+    run_one(c->w, b->surface->ambient[A_START], b->numbers, begins_at(own, side), state);
+  }
 }
 
 /* The state in the form that an interval needs */
@@ -310,7 +299,7 @@ static body_t body_of(const plan_t *plan, const double *row, int side) {
                   side};
 }
 
-/* W_1, W_2, V and R_0 where a contact starts, and its bodies' states */
+/* W_1, W_2, V and R_0 where a contact starts */
 static void begin(course_t *c) {
   const double *row = c->c->row;
   double found[8], in[5] = {row[K_ANGLE], row[K_W1], row[K_W1 + 1], row[K_Y], row[K_Y + 1]};
@@ -318,20 +307,6 @@ static void begin(course_t *c) {
   memcpy(c->c->r0, found, sizeof c->c->r0);
   memcpy(c->w1, row + K_W1, sizeof c->w1), memcpy(c->w2, found + 4, sizeof c->w2);
   memcpy(c->v, row[K_MOMENT] > 0 ? row + K_Y : found + 6, sizeof c->v);
-  for (int side = 0; side < 2; side++) {
-    const body_t *b = &c->c->body[side];
-    const double *place = begins_at(c->c, side);
-    const double *frame = row + (side ? K_FRAME_2 : K_FRAME_1), *p = frame + 3;
-    double *start = c->start[side];
-    if (!moves_in_space(b->surface)) {
-      memcpy(start, place, 3 * sizeof *start);
-    } else if (any(p) || p[2] != 0.0) {
-      memcpy(start, frame, sizeof c->start[side]);
-      restore_body(c->w, b, start);
-    } else {
-      run_one(c->w, b->surface->ambient[A_START], b->numbers, place, start);
-    }
-  }
 }
 
 /* A segment's tracks, unless those before it last longer; until: when those of each body end */
