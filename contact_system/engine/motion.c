@@ -28,10 +28,8 @@ typedef struct {
   const double *r0;
   int ambient, forced;
   const track_t *finger; /* of a forced object whose finger is accelerated */
-  double w[2], v[2], push[2], offset[2];
-  /* what came out */
-  panels_t panels;
-  double reached;
+  double w[2], v[2];
+  const double *push, *offset; /* in chart components */
 } motion_t;
 
 /* what is known beforehand at the nodes of a panel */
@@ -88,6 +86,8 @@ static lanes_t to_parallel(work_t *w, const body_t *b, int ambient, lanes_t stat
 
 /* whether the last two states are V, with the stiff term -lam V */
 static int has_v(const motion_t *m) { return m->forced && m->body->side; }
+
+static const double UNDISTURBED[2] = {0.0, 0.0};
 
 static int any(const double *d) { return d[0] != 0.0 || d[1] != 0.0; }
 
@@ -503,8 +503,9 @@ static void require_progress(work_t *w, const motion_t *m, const step_t *s, int6
   if (endless) fail_motion(w, m, s, TOO_MANY_PANELS, count);
 }
 
-/* Integrates a motion from m->state over [0, m->length]; panels stay in the work's room. */
-static void integrate(work_t *w, motion_t *m, double tolerance) {
+/* Integrates a motion from m->state over [0, m->length], or until it finishes; returns its panels,
+   in the plan's memory. */
+static panels_t integrate(work_t *w, motion_t *m, double tolerance) {
   /* below 4e-16 a series' tail is rounding */
   m->tolerance = fmax(0.1 * fmin(tolerance, COARSE), 4e-16);
   const double wide = pow(m->tolerance / 1e-13, 1.0 / L), first = fmin(m->first * wide, m->length);
@@ -522,15 +523,9 @@ static void integrate(work_t *w, motion_t *m, double tolerance) {
     if (m->finish > 0 && s.tau < m->length && m->slip * decay_at(m->drive, s.tau) <= m->finish)
       break;
   }
-  m->reached = s.tau;
-  m->panels = (panels_t){count, m->n, w->edges, w->series};
-}
-
-/* The panels, in the plan's memory */
-static panels_t kept_panels(work_t *w, const motion_t *m) {
-  panels_t p = m->panels;
-  const size_t edges = (size_t)p.n + 1, series = (size_t)(p.n * p.rows) * TERMS;
-  p.edges = memcpy(keep(w, edges), p.edges, edges * sizeof(double));
-  p.series = memcpy(keep(w, series), p.series, series * sizeof(double));
+  const size_t edges = (size_t)count + 1, series = (size_t)(count * m->n) * TERMS;
+  panels_t p = {.n = count, .rows = m->n};
+  p.edges = memcpy(keep(w, edges), w->edges, edges * sizeof(double));
+  p.series = memcpy(keep(w, series), w->series, series * sizeof(double));
   return p;
 }

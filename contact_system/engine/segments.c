@@ -24,21 +24,15 @@ typedef struct {
   double w1[2], w2[2], v[2];
 } course_t;
 
-/* A disturbance is given in chart components. Where the chart is a double cover their sign belongs
-   to the branch that the path is on, which only the chart form knows. */
-static int in_space(const surface_t *s, int disturbed) {
-  return moves_in_space(s) && !(disturbed && s->double_cover);
-}
-
 static double norm(const double *d) { return hypot(d[0], d[1]); }
 
 static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, int reason) {
   const int64_t n = c->c->n_tracks[side]++;
   track_t *k = c->c->tracks[side] + n;
   c->c->track_edges[side][n] = d->start, c->c->track_edges[side][n + 1] = HUGE_VAL;
-  memset(k, 0, sizeof *k);
-  k->body = &c->c->body[side], k->drive = d, k->stop = stop, k->reason = reason;
-  k->ambient = moves_in_space(k->body->surface);
+  const body_t *b = &c->c->body[side];
+  *k = (track_t){.body = b, .drive = d, .stop = stop, .reason = reason};
+  k->ambient = moves_in_space(b->surface), k->push = k->offset = UNDISTURBED;
   memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
   return k;
 }
@@ -76,12 +70,15 @@ static void in_form(course_t *c, int side, int ambient, double *state) {
 
 /* ---- integrated tracks ---- */
 
-/* A body from where it stands, in the form that a disturbance allows */
-static motion_t motion_of(course_t *c, int side, const drive_t *d, int disturbed) {
+/* A body from where it stands. Where its chart is a double cover the sign of chart components
+   belongs to the branch that the path is on, which only the chart form knows. */
+static motion_t motion_of(course_t *c, int side, const drive_t *d, const double *push,
+                          const double *offset) {
   const body_t *b = &c->c->body[side];
-  motion_t m = {.body = b, .r0 = c->c->r0, .drive = d, .reach = b->reach};
-  m.length = d->stop - d->start;
-  m.ambient = in_space(b->surface, disturbed), m.n = state_size(m.ambient);
+  motion_t m = {.body = b, .r0 = c->c->r0, .drive = d, .push = push, .offset = offset};
+  const int by_branch = b->surface->double_cover && (any(push) || any(offset));
+  m.length = d->stop - d->start, m.reach = b->reach;
+  m.ambient = moves_in_space(b->surface) && !by_branch, m.n = state_size(m.ambient);
   in_form(c, side, m.ambient, m.state);
   scales(c->w, m.ambient, b, m.state, m.scale);
   memcpy(m.w, side ? c->w2 : c->w1, sizeof m.w);
@@ -92,13 +89,13 @@ static motion_t motion_of(course_t *c, int side, const drive_t *d, int disturbed
 static track_t *add_motion(course_t *c, motion_t *m, double stop, int reason) {
   const int side = m->body->side;
   c->w->failure->side = side;
-  integrate(c->w, m, c->w->plan->scene[S_TOLERANCE]);
-  if (m->reached < m->length) stop = m->drive->start + m->reached;
+  const panels_t panels = integrate(c->w, m, c->w->plan->scene[S_TOLERANCE]);
+  const double reached = panels.edges[panels.n];
+  if (reached < m->length) stop = m->drive->start + reached;
   track_t *k = add_track(c, side, m->drive, stop, reason);
-  k->kind = PANELS, k->panels = kept_panels(c->w, m);
+  k->kind = PANELS, k->panels = panels;
   k->ambient = m->ambient, k->by_length = m->by_length;
-  memcpy(k->push, m->push, sizeof k->push);
-  memcpy(k->offset, m->offset, sizeof k->offset);
+  k->push = m->push, k->offset = m->offset;
   require_regular(c->w, k);
   return k;
 }
@@ -124,7 +121,7 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
     (closed == GREAT_CIRCLES ? lay_circle : lay_line)(c->w, state, k);
     return;
   }
-  motion_t m = motion_of(c, side, drive, 0);
+  motion_t m = motion_of(c, side, drive, UNDISTURBED, UNDISTURBED);
   const double speed = norm(m.w);
   /* where sigma touches zero at a window's edge, an interval may be as short as rounding */
   m.by_length = 1, m.length = fmax(length_at(drive, stop - drive->start), 1e-300);
@@ -152,15 +149,14 @@ static panels_t slip_length(course_t *c, const drive_t *d) {
   motion_t m = {.n = 1, .drive = d, .length = d->stop - d->start};
   m.first = 4.0 * m.length, m.slip = 1.0, m.reach = HUGE_VAL;
   m.scale[0] = d->per_metre; /* the inverse of the most that g may be */
-  integrate(c->w, &m, 1e-15);
-  return kept_panels(c->w, &m);
+  return integrate(c->w, &m, 1e-15);
 }
 
 static void line(course_t *c, const drive_t *d, const double *offset, int matters) {
   double state[6];
   state_of(c, 1, state);
   track_t *k = add_track(c, 1, d, d->stop, reason_of(c, offset));
-  memcpy(k->offset, offset, sizeof k->offset);
+  k->offset = offset;
   lay_line(c->w, state, k);
   if (!matters) return; /* what is left of slip shows in the rates alone */
   k->panels = slip_length(c, d);
@@ -171,8 +167,8 @@ static void line(course_t *c, const drive_t *d, const double *offset, int matter
    tolerance; returns the time reached. */
 static double driven(course_t *c, const drive_t *d, const double *offset, double negligible) {
   const body_t *b = &c->c->body[1];
-  motion_t m = motion_of(c, 1, d, any(offset));
-  memcpy(m.v, c->v, sizeof m.v), memcpy(m.offset, offset, sizeof m.offset);
+  motion_t m = motion_of(c, 1, d, UNDISTURBED, offset);
+  memcpy(m.v, c->v, sizeof m.v);
   m.slip = norm(c->v), m.finish = any(offset) ? 0.0 : negligible;
   m.first = first_panel(d, m.length, b);
   return add_motion(c, &m, d->stop, reason_of(c, offset))->stop;
@@ -219,12 +215,9 @@ static void go_along(course_t *c, const double *w1) {
 static motion_t forced_motion(course_t *c, int side, const segment_t *s, const double *more,
                               double scale) {
   const drive_t *d = s->drive;
-  const double *push = s->acting + 2 * side, *offset = s->acting + 4;
-  motion_t m = motion_of(c, side, d, any(push) || (side && any(offset)));
+  motion_t m = motion_of(c, side, d, s->acting + 2 * side, side ? s->acting + 4 : UNDISTURBED);
   for (int a = 0; a < 2; a++) m.state[m.n + a] = more[a], m.scale[m.n + a] = scale;
   m.n += 2, m.forced = 1, m.first = first_panel(d, m.length, m.body);
-  memcpy(m.push, push, sizeof m.push);
-  if (side) memcpy(m.offset, offset, sizeof m.offset);
   return m;
 }
 

@@ -41,7 +41,8 @@ typedef struct {
   int64_t kind, by_length, reason;
   int ambient;
   const drive_t *drive;
-  double w[2], push[2], offset[2];
+  double w[2];
+  const double *push, *offset; /* in chart components */
   panels_t panels; /* of the state, and of W_1 or V after it; of a line int sigma decay */
   /* great circles: x0, unit velocity along, and the frame against it */
   double at[3], along[3], across[3], lean[2], rate;
