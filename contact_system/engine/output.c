@@ -205,53 +205,53 @@ typedef struct {
   int count;
 } target_t;
 
-static void put(const target_t *to, int output, int row, const double *values) {
+/* Some rows of an output, from one on */
+static void put(const target_t *to, int output, int row, const double (*values)[L], int rows) {
   double *out = to->out[output] + row * to->n + to->first;
-  if (to->count == L)
-    copy_lanes(out, values);
-  else
-    memcpy(out, values, (size_t)to->count * sizeof *values);
+  for (int r = 0; r < rows; r++, out += to->n)
+    if (to->count == L)
+      copy_lanes(out, values[r]);
+    else
+      memcpy(out, values[r], (size_t)to->count * sizeof *out);
 }
 
 static void put_states(const target_t *to, const contact_t *c, const sample_t *m) {
-  double psi[L];
-  for (int s = 0; s < 2; s++)
-    for (int j = 0; j < 4; j++) put(to, STATES, 4 * s + j, m->side[s].coordinates[j]);
+  double psi[1][L];
+  for (int s = 0; s < 2; s++) put(to, STATES, 4 * s, m->side[s].coordinates, 4);
   for (int i = 0; i < L; i++)
-    psi[i] =
+    psi[0][i] =
         c->row[K_ANGLE] - (m->side[0].coordinates[THETA][i] + m->side[1].coordinates[THETA][i]);
-  put(to, STATES, 8, psi);
+  put(to, STATES, 8, psi, 1);
 }
 
 static void put_carried(const target_t *to, const sample_t *m) {
-  for (int s = 0; s < 2; s++) put(to, CARRIED, 3 * s, m->side[s].coordinates[THETA]);
-  for (int a = 0; a < 2; a++) {
-    double own[L];
-    put(to, CARRIED, 1 + a, m->w[0][a]);
-    for (int i = 0; i < L; i++) own[i] = m->w[1][a][i] - m->v[a][i];
-    put(to, CARRIED, 4 + a, own);
+  double own[2][L];
+  for (int a = 0; a < 2; a++)
+    for (int i = 0; i < L; i++) own[a][i] = m->w[1][a][i] - m->v[a][i];
+  for (int s = 0; s < 2; s++) {
+    put(to, CARRIED, 3 * s, m->side[s].coordinates + THETA, 1);
+    put(to, CARRIED, 3 * s + 1, s ? own : m->w[0], 2);
   }
 }
 
 static void put_frames(const target_t *to, const sample_t *m) {
   for (int s = 0; s < 2; s++) {
-    for (int j = 0; j < 9; j++) put(to, FRAMES, 12 * s + j, m->side[s].frame[j]);
-    for (int j = 0; j < 3; j++) put(to, FRAMES, 12 * s + 9 + j, m->side[s].shape[j]);
+    put(to, FRAMES, 12 * s, m->side[s].frame, 9);
+    put(to, FRAMES, 12 * s + 9, m->side[s].shape, 3);
   }
 }
 
 static void put_pose(work_t *w, const target_t *to, const contact_t *c, const sample_t *m) {
-  double zero[L], one[L];
-  fill_lanes(zero, 0.0), fill_lanes(one, 1.0);
+  double last[4][L] = {{0}};
+  fill_lanes(last[3], 1.0);
   unit_t *u = pair_table(w, T_POSE, c->r0);
   fill_pair(u, m);
   lanes_t found = run(u);
   for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) put(to, POSE, 4 * i + j, found[3 * i + j]);
-    put(to, POSE, 4 * i + 3, found[9 + i]);
-    put(to, POSE, 12 + i, zero);
+    put(to, POSE, 4 * i, found + 3 * i, 3);
+    put(to, POSE, 4 * i + 3, found + 9 + i, 1);
   }
-  put(to, POSE, 15, one);
+  put(to, POSE, 12, last, 4);
 }
 
 static void put_twist(work_t *w, const target_t *to, const contact_t *c, const sample_t *m) {
@@ -262,26 +262,25 @@ static void put_twist(work_t *w, const target_t *to, const contact_t *c, const s
     copy_rows(u->r + 24 + 2 * s, m->side[s].velocity, 2);
   }
   copy_rows(u->r + 28, m->sliding, 2);
-  lanes_t found = run(u);
-  for (int j = 0; j < 6; j++) put(to, TWIST, j, found[j]);
+  put(to, TWIST, 0, run(u), 6);
 }
 
 /* Speed of slip, and slip and acceleration in the contact frame */
 static void put_slip(work_t *w, const target_t *to, const contact_t *c, sample_t *m) {
   if (to->out[SLIP_SPEED]) {
-    double speed[L];
-    for (int i = 0; i < L; i++) speed[i] = hypot(m->sliding[0][i], m->sliding[1][i]);
-    put(to, SLIP_SPEED, 0, speed);
+    double speed[1][L];
+    for (int i = 0; i < L; i++) speed[0][i] = hypot(m->sliding[0][i], m->sliding[1][i]);
+    put(to, SLIP_SPEED, 0, speed, 1);
   }
   if (to->out[ACCELERATION]) {
     double a[2][L];
     accelerate(w, c, m, a);
     turn_to_contact_frame(w, m, a);
-    for (int j = 0; j < 2; j++) put(to, ACCELERATION, j, a[j]);
+    put(to, ACCELERATION, 0, a, 2);
   }
   if (to->out[SLIP]) {
     turn_to_contact_frame(w, m, m->sliding);
-    for (int j = 0; j < 2; j++) put(to, SLIP, j, m->sliding[j]);
+    put(to, SLIP, 0, m->sliding, 2);
   }
 }
 
@@ -301,8 +300,7 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t
     sample_body(w, m, s, to->count, needs | more);
   }
   if (out[POINTS])
-    for (int s = 0; s < 2; s++)
-      for (int j = 0; j < 3; j++) put(to, POINTS, 3 * s + j, m->side[s].frame[j]);
+    for (int s = 0; s < 2; s++) put(to, POINTS, 3 * s, m->side[s].frame, 3);
   if (out[STATES]) put_states(to, c, m);
   if (out[FRAMES]) put_frames(to, m);
   if (out[POSE]) put_pose(w, to, c, m);
