@@ -52,7 +52,7 @@ class Followed(Structure):
     """``geodesic_t``: how geodesics of a surface are followed."""
 
     _fields_ = [
-        *((name, c_void_p) for name in ("rates", "restore", "frame", "lame", "numbers")),
+        *((name, c_void_p) for name in ("surface", "rates", "numbers")),
         *((name, c_double) for name in ("size", "first", "longest")),
     ]
 
@@ -80,7 +80,7 @@ class Steered(Structure):
     """``steered_t``: one body of a contact that is steered."""
 
     _fields_ = [
-        *((name, c_void_p) for name in ("how", "shape")),
+        ("how", c_void_p),
         *((name, c_double) for name in ("gauss", "bend")),
         ("start", c_double * 9),
         *((name, c_double * 3) for name in ("place", "goal")),

@@ -105,12 +105,10 @@ enum {
 /* FRAMES: of each body x p q, and the curvature form along p and q: K_pp K_pq K_qq */
 enum { STATES, POINTS, SLIP, SLIP_SPEED, TWIST, POSE, ACCELERATION, CARRIED, FRAMES, N_OUTPUTS };
 
-/* geodesics, many at once: their tables, and how they are followed */
+/* geodesics of a surface, many at once, and how they are followed */
 typedef struct {
-  const table_t *rates;   /* GEODESIC */
-  const table_t *restore; /* of a body moved in space; NULL: it is moved in its chart */
-  const table_t *frame;   /* A_SECOND; or C_FRAME */
-  const table_t *lame;    /* C_LAME; NULL in space */
+  const surface_t *surface;
+  const table_t *rates; /* GEODESIC, which surfaces of users have only where it is asked for */
   const double *numbers;
   double size, first, longest; /* m; the first step and the longest, m */
 } geodesic_t;
@@ -161,9 +159,8 @@ typedef struct {
 
 /* one body of a contact that is steered to a goal */
 typedef struct {
-  const geodesic_t *how;     /* NULL: a sphere about the origin, or a plane */
-  const table_t *shape;      /* A_SHAPE or C_SHAPE; */
-  double gauss, bend;        /* else Gauss' curvature, 1/m^2, and that along each line, 1/m */
+  const geodesic_t *how;     /* NULL: a sphere about the origin, or a plane, with */
+  double gauss, bend;        /* Gauss' curvature, 1/m^2, and that along each line, 1/m */
   double start[9], place[3]; /* x p q, the contact frame; u v theta */
   double goal[3];
   double within[4]; /* a point and the radius that the path is to stay within; 0: none */

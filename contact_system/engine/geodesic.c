@@ -11,7 +11,8 @@ enum { MOST_STEPS = 100000 };
 typedef struct {
   const geodesic_t *how;
   unit_t rates, restore, frame, lame;
-  int state, rows; /* numbers of a state, without and with Jacobi fields */
+  int space, state, rows; /* numbers of a state, without and with Jacobi fields */
+  int lost[L];            /* lanes that cannot be followed */
   double length[L], tolerance;
   double y[MOST_ROWS][L], next[MOST_ROWS][L], k[STAGES][MOST_ROWS][L], unit[MOST_ROWS][L];
   double before[SHOWN][L], shown[SHOWN][L];
@@ -50,7 +51,7 @@ static void combine_stages(const lines_t *g, const double *a, int n, double h, i
 static void find_units(lines_t *g) {
   const double size = g->how->size;
   const double fields[FIELDS] = {size, 1.0, 1.0, 1.0 / size};
-  if (g->how->restore)
+  if (g->space)
     for (int r = 0; r < 6; r++) fill_lanes(g->unit[r], r < 3 ? size : 1.0);
   else {
     copy_rows(g->lame.r, g->y, g->state);
@@ -85,7 +86,7 @@ static void try_step(lines_t *g, double h, double *error) {
 
 /* x p q J J' M M' of g->y */
 static void show(lines_t *g) {
-  const int known = g->how->restore ? 6 : 0;
+  const int known = g->space ? 6 : 0;
   copy_rows(g->shown, g->y, known);
   copy_rows(g->frame.r, g->y, g->state);
   copy_rows(g->shown + known, run(&g->frame), 9 - known);
@@ -111,16 +112,16 @@ static void sample(const lines_t *g, double tau, double h, int64_t m, int64_t n,
 }
 
 /* Gives up lanes that cannot be followed: they stand still from here on. */
-static void give_up(lines_t *g, const double *error, int *lost) {
+static void give_up(lines_t *g, const double *error) {
   for (int i = 0; i < L; i++) {
     if (error && error[i] <= 1.0) continue;
-    g->length[i] = 0.0, lost[i] = 1;
+    g->length[i] = 0.0, g->lost[i] = 1;
     for (int r = 0; r < g->rows; r++)
       if (!isfinite(g->y[r][i])) g->y[r][i] = 0.0;
   }
 }
 
-static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path, int *lost) {
+static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
   double longest = 0.0, error[L];
   for (int i = 0; i < L; i++) longest = fmax(longest, fabs(g->length[i]));
   double most = g->how->longest / longest;
@@ -128,7 +129,7 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path, in
   int fresh = 1;
   show(g);
   for (int64_t tries = 0; tau < 1.0; tries++) {
-    if (tries == MOST_STEPS) give_up(g, NULL, lost), most = INFINITY, h = fresh = 1;
+    if (tries == MOST_STEPS) give_up(g, NULL), most = INFINITY, h = fresh = 1;
     h = fmin(h, most);
     const int last = tau + 1.001 * h >= 1.0;
     if (last) h = 1.0 - tau;
@@ -136,18 +137,18 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path, in
     try_step(g, h, error);
     double worst = 0.0;
     for (int i = 0; i < L; i++)
-      if (!lost[i]) worst = error[i] <= worst ? worst : error[i]; /* NaN stays */
+      if (!g->lost[i]) worst = error[i] <= worst ? worst : error[i]; /* NaN stays */
     fresh = worst <= 1.0;
     const double ratio = 0.9 * pow(fmax(worst, 1e-30), -1.0 / 8);
     if (!fresh) {
       h *= ratio > 0.2 ? ratio : 0.2;
       if (h > LEAST_STEP) continue;
-      give_up(g, error, lost);
+      give_up(g, error);
       h = fmin(g->how->first / longest, 1.0), fresh = 1;
       continue;
     }
     copy_rows(g->y, g->next, g->rows);
-    if (g->how->restore) {
+    if (g->space) {
       copy_rows(g->restore.r, g->y, 6);
       copy_rows(g->y, run(&g->restore), 6);
     }
@@ -161,11 +162,15 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path, in
 
 /* Returns 0 without memory. */
 static int load_lines(lines_t *g, const geodesic_t *how) {
-  g->how = how, g->state = how->rates->n_in - FIELDS, g->rows = how->rates->n_in;
+  const surface_t *s = how->surface;
   const double *numbers = how->numbers;
-  return load(&g->rates, how->rates, numbers) && load(&g->frame, how->frame, numbers) &&
-         (!how->restore || load(&g->restore, how->restore, numbers)) &&
-         (!how->lame || load(&g->lame, how->lame, numbers));
+  g->how = how, g->space = moves_in_space(s);
+  g->state = state_size(g->space), g->rows = g->state + FIELDS;
+  if (!load(&g->rates, how->rates, numbers)) return 0;
+  if (g->space)
+    return load(&g->frame, s->ambient[A_SECOND], numbers) &&
+           load(&g->restore, s->ambient[A_RESTORE], numbers);
+  return load(&g->frame, s->chart[C_FRAME], numbers) && load(&g->lame, s->chart[C_LAME], numbers);
 }
 
 static void drop_lines(lines_t *g) {
@@ -178,15 +183,15 @@ static int geodesics(const geodesic_t *how, int64_t n, const double *start, cons
   const int ready = g && load_lines(g, how);
   for (int64_t i = 0; ready && i < n; i += L) {
     const int count = (int)(n - i < L ? n - i : L);
-    int lost[L] = {0};
+    memset(g->lost, 0, sizeof g->lost);
     for (int r = 0; r < g->state; r++) gather(g->y[r], start + r * n + i, count);
     gather(g->length, length + i, count);
     g->tolerance = tolerance[i];
     for (int q = 1; q < count; q++) g->tolerance = fmin(g->tolerance, tolerance[i + q]);
     for (int r = 0; r < FIELDS; r++) fill_lanes(g->y[g->state + r], r == 1 || r == 2);
-    follow(g, m, n, count, path ? path + i : NULL, lost);
+    follow(g, m, n, count, path ? path + i : NULL);
     for (int r = 0; r < SHOWN; r++)
-      for (int q = 0; q < count; q++) end[r * n + i + q] = lost[q] ? NAN : g->shown[r][q];
+      for (int q = 0; q < count; q++) end[r * n + i + q] = g->lost[q] ? NAN : g->shown[r][q];
   }
   if (g) drop_lines(g), free(g);
   return ready ? NO_FAILURE : NO_MEMORY;

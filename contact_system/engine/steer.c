@@ -19,7 +19,6 @@ typedef struct {
   unit_t shape;
   double at[SHOWN][L];              /* x p q, and J J' M M' of the last part */
   by_unknown_t ahead, aside, turns; /* how the frame moves along p and q, and turns */
-  int lost[L];
 } rolled_t;
 
 typedef struct {
@@ -60,9 +59,9 @@ static void turn_path(rolled_t *r, int n, const double *turn) {
   lanes_sincos(turn, s, c);
   turn_rows(r->at + 3, r->at + 6, 3, c, s);
   turn_rows(r->ahead, r->aside, n, c, s);
-  const geodesic_t *how = r->body->how;
-  if (how && how->restore) memcpy(r->lines.y + 3, r->at + 3, 3 * sizeof *r->at);
-  if (how && !how->restore)
+  if (r->lines.space)
+    memcpy(r->lines.y + 3, r->at + 3, 3 * sizeof *r->at);
+  else
     for (int l = 0; l < L; l++) r->lines.y[2][l] += turn[l];
 }
 
@@ -73,9 +72,9 @@ static void advance(rolled_t *r, const double *length) {
     lines_t *g = &r->lines;
     memcpy(g->length, length, sizeof g->length);
     for (int l = 0; l < L; l++)
-      if (r->lost[l]) g->length[l] = 0.0;
+      if (g->lost[l]) g->length[l] = 0.0;
     for (int f = 0; f < FIELDS; f++) fill_lanes(g->y[g->state + f], f == 1 || f == 2);
-    follow(g, 0, 0, L, NULL, r->lost);
+    follow(g, 0, 0, L, NULL);
     memcpy(r->at, g->shown, sizeof r->at);
     return;
   }
@@ -128,14 +127,15 @@ static void stay_within(const rolled_t *r, equations_t *e, int n) {
 }
 
 static void start_path(rolled_t *r) {
-  const geodesic_t *how = r->body->how;
+  lines_t *g = &r->lines;
   for (int i = 0; i < 9; i++) fill_lanes(r->at[i], r->body->start[i]);
-  memset(r->lost, 0, sizeof r->lost);
+  memset(g->lost, 0, sizeof g->lost);
   memset(r->ahead, 0, sizeof r->ahead), memset(r->aside, 0, sizeof r->aside);
   memset(r->turns, 0, sizeof r->turns);
-  if (how && how->restore) memcpy(r->lines.y, r->at, 6 * sizeof *r->at);
-  if (how && !how->restore)
-    for (int i = 0; i < 3; i++) fill_lanes(r->lines.y[i], r->body->place[i]);
+  if (g->space)
+    memcpy(g->y, r->at, 6 * sizeof *r->at);
+  else
+    for (int i = 0; i < 3; i++) fill_lanes(g->y[i], r->body->place[i]);
 }
 
 static void roll(search_t *w, int side) {
@@ -307,7 +307,7 @@ static void try_paths(search_t *w) {
   if (w->aim->turns) arrive_in_pose(w);
   keep_short(w);
   for (int l = 0; l < L; l++)
-    if (w->rolled[0].lost[l] || w->rolled[1].lost[l]) w->now.size[l] = HUGE_VAL;
+    if (w->rolled[0].lines.lost[l] || w->rolled[1].lines.lost[l]) w->now.size[l] = HUGE_VAL;
 }
 
 /* ---- Newton's method, with Levenberg's damping ---- */
@@ -397,7 +397,9 @@ static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z
     const geodesic_t *how = aim->body[side].how;
     r->body = aim->body + side, r->lines.tolerance = aim->tolerance;
     if (!how) continue;
-    ready = ready && load_lines(&r->lines, how) && load(&r->shape, r->body->shape, how->numbers);
+    const surface_t *s = how->surface;
+    const table_t *shape = moves_in_space(s) ? s->ambient[A_SHAPE] : s->chart[C_SHAPE];
+    ready = ready && load_lines(&r->lines, how) && load(&r->shape, shape, how->numbers);
   }
   if (ready) search(w, count, z);
   for (int l = 0; l < count; l++) off[l] = sqrt(w->best.size[l]);

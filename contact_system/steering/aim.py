@@ -216,7 +216,7 @@ class Aim:
         elif not is_plane(body):
             follower = Follower(body)
             self._followers.append(follower)
-            data.how, data.shape = ctypes.addressof(follower.how), follower.shape
+            data.how = ctypes.addressof(follower.how)
             if not follower.space:
                 data.place[:] = [*getattr(self.contact, f"{SIDES[side]}_at"), 0.0]
         return data

@@ -13,7 +13,7 @@ from ..checks import within
 from ..engine import binding
 from ..errors import SurfaceError
 from ..surfaces import Surface
-from ..theory.development import IN_CHART, IN_SPACE, in_space
+from ..theory.development import in_space
 
 if TYPE_CHECKING:
     from .two_points import Pairs
@@ -39,30 +39,25 @@ class Follower:
 
     Attributes
     ----------
-    tables : list of tables
-        In space ``restore`` and ``second``, in a chart ``frame`` and ``lame``.
+    space : bool
+        Whether states are in space, (x, p).
     detail : float
         Length over which the surface is nearly flat, m.
-    how, shape
-        For the engine: its geodesic_t, and the address of the table of the curvature form.
+    how : Followed
+        For the engine.
     """
 
     def __init__(self, surface: Surface):
-        tables, self.space = surface.tables, in_space(surface)
-        names = ("restore", "second") if self.space else ("frame", "lame")
-        group, order = (tables.ambient, IN_SPACE) if self.space else (tables.chart, IN_CHART)
-        self.tables = [group[order.index(name)] for name in names]
+        self.space = in_space(surface)
         self.detail = 0.3 * min(surface.bend, 0.5 * surface.size)
-        first, second = (table.address for table in self.tables)
         self.how = binding.Followed(
-            tables.geodesic.address,
-            *((first, second, None) if self.space else (None, first, second)),
+            ctypes.addressof(surface.engine_data),
+            surface.tables.geodesic.address,
             binding.address(surface.numbers),
             surface.size,
             self.detail,
             surface.reach * surface.size / 8,
         )
-        self.shape = group[order.index("shape")].address
         self._surface = surface  # kept alive with its numbers
 
     def __call__(self, start: Array, length: Array, tolerance: Any, samples: int = 0) -> Array:
