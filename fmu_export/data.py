@@ -19,7 +19,7 @@ from contact_system.surfaces import Ellipsoid, Surface, Torus
 from .model import TOLERANCE, equations, frame_sizes, measured
 from .variables import Table
 
-VERSION, HEADER = 20261203, 27
+VERSION, HEADER = 20261204, 27
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
 _SURFACE = "4q2d14q"
 
@@ -141,7 +141,7 @@ def _surface(surface: Surface, data: _Data) -> list[Any]:
     if surface.table_name is not None:
         return [list(SURFACES).index(surface.table_name), *[0] * 5, *[-1] * 14]
     own = surface.engine_data
-    tables = map(data.table, (*surface.tables.ambient, *surface.tables.chart))
+    tables = map(data.table, (*surface.tables.chart, *surface.tables.ambient))
     return [-1, own.n_numbers, own.double_cover, own.flags, own.period_u, own.period_v, *tables]
 
 

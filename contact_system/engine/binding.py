@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-N_AMBIENT, N_CHART, N_OTHER = 7, 7, 4
+N_MOVED, N_OTHER = 7, 4
 GEODESIC = 3  # of the other tables
 
 
@@ -36,8 +36,8 @@ class SurfaceData(Structure):
         ("name", c_char_p),
         *((name, c_int32) for name in ("n_numbers", "double_cover", "closed", "flags")),
         *((name, c_double) for name in ("period_u", "period_v")),
-        ("ambient", c_void_p * N_AMBIENT),
-        ("chart", c_void_p * N_CHART),
+        ("chart", c_void_p * N_MOVED),  # of ``moved``
+        ("ambient", c_void_p * N_MOVED),
         ("other", c_void_p * N_OTHER),
     ]
 

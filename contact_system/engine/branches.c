@@ -18,7 +18,7 @@ typedef struct {
 /* u v u' v' theta in principal values at places x; rates are none */
 static lanes_t principal(const path_t *p, const double *x) {
   const track_t *k = p->track;
-  unit_t *u = table_of(p->w, k->body, 1, A_COORDINATES);
+  unit_t *u = table_of(p->w, k->body, IN_SPACE, M_COORDINATES);
   if (k->kind == CIRCLE)
     circle_at(k, x, 6, u->r);
   else

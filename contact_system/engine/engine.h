@@ -26,10 +26,10 @@ typedef struct {
   const double *literals;
 } table_t;
 
-/* the tables of a body moved in space, state x p */
-enum { A_MOTION, A_RESTORE, A_COORDINATES, A_VECTOR, A_SECOND, A_SHAPE, A_START, N_AMBIENT };
-/* the tables of a body moved in its chart, state u v theta */
-enum { C_MOTION, C_COORDINATES, C_VECTOR, C_FRAME, C_SHAPE, C_POINT, C_LAME, N_CHART };
+/* the tables of a body moved in its chart, state u v theta, or in space, state x p */
+enum { IN_CHART, IN_SPACE };
+enum { M_MOTION, M_COORDINATES, M_VECTOR, M_SHAPE, C_FRAME, C_POINT, C_LAME, N_MOVED };
+enum { A_SECOND = C_FRAME, A_RESTORE, A_START };
 /* the tables that only Python asks for */
 enum { GEOMETRY, INVERSE, RAY, GEODESIC, N_OTHER };
 /* the tables of a contact, which no surface enters */
@@ -42,7 +42,7 @@ typedef struct {
   const char *name;
   int32_t n_numbers, double_cover, closed, flags;
   double period_u, period_v; /* 0: none */
-  const table_t *ambient[N_AMBIENT], *chart[N_CHART], *other[N_OTHER];
+  const table_t *moved[2][N_MOVED], *other[N_OTHER];
 } surface_t;
 
 extern const surface_t builtin_surfaces[];

@@ -162,15 +162,13 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
 
 /* Returns 0 without memory. */
 static int load_lines(lines_t *g, const geodesic_t *how) {
-  const surface_t *s = how->surface;
-  const double *numbers = how->numbers;
-  g->how = how, g->space = moves_in_space(s);
+  g->how = how, g->space = moves_in_space(how->surface);
   g->state = state_size(g->space), g->rows = g->state + FIELDS;
-  if (!load(&g->rates, how->rates, numbers)) return 0;
-  if (g->space)
-    return load(&g->frame, s->ambient[A_SECOND], numbers) &&
-           load(&g->restore, s->ambient[A_RESTORE], numbers);
-  return load(&g->frame, s->chart[C_FRAME], numbers) && load(&g->lame, s->chart[C_LAME], numbers);
+  const table_t *const *tables = how->surface->moved[g->space];
+  const double *numbers = how->numbers;
+  return load(&g->frame, tables[g->space ? A_SECOND : C_FRAME], numbers) &&
+         load(g->space ? &g->restore : &g->lame, tables[g->space ? A_RESTORE : C_LAME], numbers) &&
+         load(&g->rates, how->rates, numbers);
 }
 
 static void drop_lines(lines_t *g) {

@@ -41,8 +41,7 @@ typedef struct {
 
 static unit_t *table_of(work_t *w, const body_t *b, int ambient, int table) {
   unit_t *u = &w->body[b->side][ambient][table];
-  const table_t *const *tables = ambient ? b->surface->ambient : b->surface->chart;
-  if (!load(u, tables[table], b->numbers)) fail(w, NO_MEMORY);
+  if (!load(u, b->surface->moved[ambient][table], b->numbers)) fail(w, NO_MEMORY);
   return u;
 }
 
@@ -69,7 +68,7 @@ static void run_one(work_t *w, const table_t *t, const double *constants, const 
   memcpy(out, r + t->first_out, (size_t)t->n_out * sizeof *out);
 }
 
-static int moves_in_space(const surface_t *s) { return s->ambient[A_MOTION] != NULL; }
+static int moves_in_space(const surface_t *s) { return s->moved[IN_SPACE][M_MOTION] != NULL; }
 static int state_size(int ambient) { return ambient ? 6 : 3; }
 
 /* ---- right-hand sides ---- */
@@ -77,7 +76,7 @@ static int state_size(int ambient) { return ambient ? 6 : 3; }
 /* Chart components d to the parallel frame, Rot(theta)^T M d */
 static lanes_t to_parallel(work_t *w, const body_t *b, int ambient, lanes_t state,
                            const double *d) {
-  unit_t *u = table_of(w, b, ambient, ambient ? A_VECTOR : C_VECTOR);
+  unit_t *u = table_of(w, b, ambient, M_VECTOR);
   const int n = state_size(ambient);
   copy_rows(u->r, state, n);
   fill_lanes(u->r[n], d[0]), fill_lanes(u->r[n + 1], d[1]);
@@ -126,7 +125,7 @@ static void fill_nodes(work_t *w, const motion_t *m, const double *t, nodes_t *a
 }
 
 static unit_t *motion_table(work_t *w, const motion_t *m) {
-  return table_of(w, m->body, m->ambient, m->ambient ? A_MOTION : C_MOTION);
+  return table_of(w, m->body, m->ambient, M_MOTION);
 }
 
 /* c = sigma (W - V), and what a rate offset adds, moves the body; accelerations change W_1 and V.
@@ -170,7 +169,7 @@ static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x,
 
 /* (x, p) back onto the surface; on lanes, as a compiled twin is faster than `run_one` */
 static void restore_body(work_t *w, const body_t *b, double *state) {
-  unit_t *u = table_of(w, b, 1, A_RESTORE);
+  unit_t *u = table_of(w, b, IN_SPACE, A_RESTORE);
   for (int j = 0; j < 6; j++) fill_lanes(u->r[j], state[j]);
   lanes_t found = run(u);
   for (int j = 0; j < 6; j++) state[j] = found[j][0];
@@ -184,7 +183,7 @@ static void scales(work_t *w, int ambient, const body_t *b, const double *state,
     return;
   }
   double lame[3];
-  run_one(w, b->surface->chart[C_LAME], b->numbers, state, lame);
+  run_one(w, b->surface->moved[IN_CHART][C_LAME], b->numbers, state, lame);
   const double beside = b->surface->flags & MAY_BE_SINGULAR ? fmax(lame[0], lame[1]) : b->size;
   for (int j = 0; j < 2; j++) scale[j] = fmax(lame[j], 1e-2 * fmin(beside, b->size)) / b->size;
   scale[2] = 1.0;
@@ -482,7 +481,8 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   if (m->body) { /* where it stands */
     double place[5] = {m->state[0], m->state[1]};
     if (m->ambient)
-      run_one(w, m->body->surface->ambient[A_COORDINATES], m->body->numbers, m->state, place);
+      run_one(w, m->body->surface->moved[IN_SPACE][M_COORDINATES], m->body->numbers, m->state,
+              place);
     e->u = place[0], e->v = place[1];
   }
   fail(w, code);

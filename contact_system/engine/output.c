@@ -79,7 +79,7 @@ static const double LOST = 1e-12;
 
 static void find_coordinates(work_t *w, side_t *a, const double *x, const double *turns, int n) {
   const track_t *k = a->track;
-  unit_t *u = table_of(w, k->body, k->ambient, k->ambient ? A_COORDINATES : C_COORDINATES);
+  unit_t *u = table_of(w, k->body, k->ambient, M_COORDINATES);
   const int rows = state_size(k->ambient);
   copy_rows(u->r, a->state, rows);
   copy_rows(u->r + rows, a->velocity, 2);
@@ -131,7 +131,7 @@ static void sample_body(work_t *w, sample_t *m, int s, int n, int needs) {
                : find_one(w, k, C_FRAME, state, a->frame, 9);
   else if (needs & NEED_POINT && !k->ambient)
     find_one(w, k, C_POINT, state, a->frame, 3);
-  if (needs & NEED_SHAPE) find_one(w, k, k->ambient ? A_SHAPE : C_SHAPE, state, a->shape, 3);
+  if (needs & NEED_SHAPE) find_one(w, k, M_SHAPE, state, a->shape, 3);
   if (any(k->offset)) {
     copy_rows(a->offset, to_parallel(w, k->body, k->ambient, a->state, k->offset), 2);
     for (int j = 0; j < 2 && needs & NEED_VELOCITY; j++)
@@ -380,7 +380,7 @@ static void usual_state(work_t *w, const track_t *k, double t, double *state) {
   state_at(k, tau, x, n, found);
   for (int j = 0; j < n; j++) state[j] = found[j][0];
   if (!moves_in_space(b->surface)) return;
-  if (!k->ambient) run_one(w, b->surface->ambient[A_START], b->numbers, state, state);
+  if (!k->ambient) run_one(w, b->surface->moved[IN_SPACE][A_START], b->numbers, state, state);
   restore_body(w, b, state);
 }
 

@@ -91,7 +91,7 @@ struct work {
   jmp_buf jump;
   failure_t *failure;
   plan_t *plan;
-  unit_t body[2][2][N_CHART]; /* side, ambient or not, table */
+  unit_t body[2][2][N_MOVED]; /* side, ambient or not, table */
   unit_t pair[N_CONTACT_TABLES];
   double *one; /* registers of tables that run at one point; so many */
   int64_t n_one;
@@ -116,7 +116,7 @@ static void begin_work(work_t *w, plan_t *plan, failure_t *failure) {
 static void end_work(work_t *w) {
   for (int s = 0; s < 2; s++)
     for (int a = 0; a < 2; a++)
-      for (int t = 0; t < N_CHART; t++) free(w->body[s][a][t].r);
+      for (int t = 0; t < N_MOVED; t++) free(w->body[s][a][t].r);
   for (int t = 0; t < N_CONTACT_TABLES; t++) free(w->pair[t].r);
   free(w->one), free(w->edges), free(w->series), free(w->raw);
 }

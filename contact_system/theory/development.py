@@ -27,8 +27,8 @@ from .symbols import making_symbols, per_structure
 if TYPE_CHECKING:
     from ..surfaces.base import Surface
 
-IN_SPACE = ("motion", "restore", "coordinates", "vector", "second", "shape", "start")
-IN_CHART = ("motion", "coordinates", "vector", "frame", "shape", "point", "lame")
+IN_CHART = ("motion", "coordinates", "vector", "shape", "frame", "point", "lame")
+IN_SPACE = ("motion", "coordinates", "vector", "shape", "second", "restore", "start")
 INPUTS = {"motion": 2, "coordinates": 2, "vector": 2, "geodesic": 4}
 """Sizes of further inputs after the state: a vector of the plane, or Jacobi fields."""
 

@@ -82,9 +82,9 @@ class Writer:
             return "&" + self._named("table_t {}", "table", self.table(table, hot))
 
         made = lowered(surface)
-        hot = [[pointer(table, True) for table in group] for group in (made.ambient, made.chart)]
+        moved = [[pointer(table, True) for table in group] for group in (made.chart, made.ambient)]
         other = [pointer(table, False) for table in made.other[:-1]]
-        groups = [*hot, [*other, pointer(made.geodesic, True)]]
+        groups = [moved, [*other, pointer(made.geodesic, True)]]
         return [f'"{surface.table_name}"', *surface.traits, *groups]
 
     def tables(self) -> str:

@@ -86,9 +86,9 @@ static void read_surfaces(model_t *m) {
                        .flags = (int32_t)row->flags,
                        .period_u = row->period_u,
                        .period_v = row->period_v};
-    for (int k = 0; k < N_AMBIENT + N_CHART; k++) {
-      const table_t **to = k < N_AMBIENT ? own->ambient + k : own->chart + k - N_AMBIENT;
-      *to = row->tables[k] < 0 ? NULL : m->tables + row->tables[k];
+    for (int k = 0; k < 2 * N_MOVED; k++) {
+      const int64_t table = row->tables[k];
+      own->moved[k / N_MOVED][k % N_MOVED] = table < 0 ? NULL : m->tables + table;
     }
   }
 }

@@ -18,7 +18,7 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_VERSION 20261203
+#define DATA_VERSION 20261204
 
 typedef struct {
   int64_t at, count;
@@ -94,7 +94,7 @@ typedef struct {
 typedef struct {
   int64_t builtin, n_numbers, double_cover, flags;
   double period_u, period_v;
-  int64_t tables[N_AMBIENT + N_CHART];
+  int64_t tables[2 * N_MOVED];
 } shape_t;
 
 /* a table: the numbers of table_t in their order; then places */

@@ -30,7 +30,8 @@ static double *load_surface(component_t *c, long i, int side, const table_t *t,
 static const char *put_frame(component_t *c, long i, int side, double frame[6], double (*grows)[L],
                              double (*numbers)[L]) {
   const double *starts = data_at(c->model, c->model->head->starts), *row = row_of(c->model, i);
-  const table_t *const *tables = surface_of(c->model, i, side)->ambient, *t = tables[A_START];
+  const table_t *const *tables = surface_of(c->model, i, side)->moved[IN_SPACE],
+                       *t = tables[A_START];
   const double *own =
       starts + at_of(c->model, i, OF_STATES) + (side ? frame_of(c->model, i, 0) : 0);
   const int64_t at = c->model->contacts[i].parameters[side];
@@ -68,7 +69,7 @@ static const char *put_frame(component_t *c, long i, int side, double frame[6], 
 
 /* u v theta of a frame in space, in principal values */
 static void find_place(component_t *c, long i, int side, const double frame[6], double place[3]) {
-  const table_t *t = surface_of(c->model, i, side)->ambient[A_COORDINATES];
+  const table_t *t = surface_of(c->model, i, side)->moved[IN_SPACE][M_COORDINATES];
   double *r = load_surface(c, i, side, t, NULL);
   memset(r, 0, (size_t)t->n_in * sizeof *r); /* it does not move */
   memcpy(r, frame, 6 * sizeof *r);
