@@ -14,22 +14,19 @@ static const double FALL = 4.5;
 enum { SWEEPS = 40 };
 enum { MANY = 4096 }; /* panels from one look at how many more it will take to the next */
 
-/* The motion of one body, or without a body int sigma decay. Where accelerations act, the body's
-   state is followed by W_1 of the finger, or by V of the object. */
+/* The motion of a track's body, or without a body int sigma decay. Where accelerations act, the
+   body's state is followed by W_1 of the finger, or by V of the object. */
 typedef struct {
+  track_t *track;
   int64_t n;
-  const drive_t *drive;
-  int by_length;
   double length, first, reach;
   double tolerance, slip, finish; /* slip: |V|, 0 without; it ends where |V| decay <= finish */
   double state[MAX_STATES], scale[MAX_STATES]; /* errors are measured in 1/scale */
   /* what `rates` reads */
-  const body_t *body;
   const double *r0;
-  int ambient, forced;
+  int forced;
   const track_t *finger; /* of a forced object whose finger is accelerated */
-  double w[2], v[2];
-  const double *push, *offset; /* in chart components */
+  double v[2];
 } motion_t;
 
 /* what is known beforehand at the nodes of a panel */
@@ -73,18 +70,23 @@ static int state_size(int ambient) { return ambient ? 6 : 3; }
 
 /* ---- right-hand sides ---- */
 
+/* A table of a track's body, with states in its registers */
+static unit_t *table_at(work_t *w, const track_t *k, int table, const double (*state)[L]) {
+  unit_t *u = table_of(w, k->body, k->ambient, table);
+  copy_rows(u->r, state, state_size(k->ambient));
+  return u;
+}
+
 /* Chart components d to the parallel frame, Rot(theta)^T M d */
-static lanes_t to_parallel(work_t *w, const body_t *b, int ambient, lanes_t state,
-                           const double *d) {
-  unit_t *u = table_of(w, b, ambient, M_VECTOR);
-  const int n = state_size(ambient);
-  copy_rows(u->r, state, n);
+static lanes_t to_parallel(work_t *w, const track_t *k, const double (*state)[L], const double *d) {
+  unit_t *u = table_at(w, k, M_VECTOR, state);
+  const int n = state_size(k->ambient);
   fill_lanes(u->r[n], d[0]), fill_lanes(u->r[n + 1], d[1]);
   return run(u);
 }
 
 /* whether the last two states are V, with the stiff term -lam V */
-static int has_v(const motion_t *m) { return m->forced && m->body->side; }
+static int has_v(const motion_t *m) { return m->forced && m->track->body->side; }
 
 static const double UNDISTURBED[2] = {0.0, 0.0};
 
@@ -102,54 +104,56 @@ static void to_object(const double *r0, lanes_t w1, lanes_t w2) {
 static void follow_finger(work_t *w, const motion_t *m, const double *t, nodes_t *at) {
   const track_t *k = m->finger;
   double x[MAX_STATES][L];
-  for (int a = 0; a < 2; a++) fill_lanes(at->pushed[a], 0.0), fill_lanes(at->w2[a], m->w[a]);
+  for (int a = 0; a < 2; a++) fill_lanes(at->pushed[a], 0.0), fill_lanes(at->w2[a], m->track->w[a]);
   if (!k) return;
   panels_at(&k->panels, 0, k->panels.rows, t, x);
   to_object(m->r0, x + state_size(k->ambient), at->w2);
-  copy_rows(at->pushed, to_parallel(w, k->body, k->ambient, x, k->push), 2);
+  copy_rows(at->pushed, to_parallel(w, k, x, k->push), 2);
 }
 
 /* What is known at times t: all but `inverse` and `allowed` */
 static void fill_nodes(work_t *w, const motion_t *m, const double *t, nodes_t *at) {
-  if (m->by_length)
+  const track_t *k = m->track;
+  if (k->by_length)
     fill_lanes(at->sigma, 1.0);
   else
-    horners(m->drive->sigma, m->drive->n_sigma, t, at->sigma);
+    horners(k->drive->sigma, k->drive->n_sigma, t, at->sigma);
   if (m->slip > 0)
-    decays(m->drive, t, at->sigma, at->decay);
+    decays(k->drive, t, at->sigma, at->decay);
   else
     fill_lanes(at->decay, 0.0);
   if (!has_v(m)) return;
   follow_finger(w, m, t, at);
-  for (int i = 0; i < L; i++) at->lam[i] = gain_at(m->drive, t[i]);
+  for (int i = 0; i < L; i++) at->lam[i] = gain_at(k->drive, t[i]);
 }
 
 static unit_t *motion_table(work_t *w, const motion_t *m) {
-  return table_of(w, m->body, m->ambient, M_MOTION);
+  return table_of(w, m->track->body, m->track->ambient, M_MOTION);
 }
 
 /* c = sigma (W - V), and what a rate offset adds, moves the body; accelerations change W_1 and V.
    V' lacks -lam V, see `sweep`. Returns the rows of the result, the table's own or f. Where no
    acceleration acts, x has to be the table's input registers. */
 static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x, lanes_t f) {
+  const track_t *k = m->track;
   const double *sigma = at->sigma;
-  if (!m->body) {
+  if (!k->body) {
     EACH_LANE(i) f[0][i] = sigma[i] * at->decay[i];
     return f;
   }
-  const int n = state_size(m->ambient);
+  const int n = state_size(k->ambient);
   unit_t *u = motion_table(w, m);
   lanes_t own = x + n, c = u->r + n; /* W_1 of a finger or V of an object under accelerations */
   for (int a = 0; a < 2; a++) {
     if (!m->forced)
-      EACH_LANE(i) c[a][i] = sigma[i] * (m->w[a] - m->v[a] * at->decay[i]);
+      EACH_LANE(i) c[a][i] = sigma[i] * (k->w[a] - m->v[a] * at->decay[i]);
     else if (has_v(m))
       EACH_LANE(i) c[a][i] = sigma[i] * (at->w2[a][i] - own[a][i]);
     else
       EACH_LANE(i) c[a][i] = sigma[i] * own[a][i];
   }
-  if (any(m->offset)) {
-    lanes_t d = to_parallel(w, m->body, m->ambient, x, m->offset);
+  if (any(k->offset)) {
+    lanes_t d = to_parallel(w, k, x, k->offset);
     for (int a = 0; a < 2; a++)
       EACH_LANE(i) c[a][i] += d[a][i];
   }
@@ -160,10 +164,9 @@ static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x,
   lanes_t in = u->r + 1; /* accelerations of finger and object */
   copy_rows(u->r, &at->sigma, 1);
   for (int r = 0; r < 4; r++) fill_lanes(in[r], 0.0);
-  if (m->body->side) copy_rows(in, at->pushed, 2);
-  if (any(m->push))
-    copy_rows(in + 2 * m->body->side, to_parallel(w, m->body, m->ambient, x, m->push), 2);
-  copy_rows(f + n, run(u) + 2 * m->body->side, 2);
+  if (k->body->side) copy_rows(in, at->pushed, 2);
+  if (any(k->push)) copy_rows(in + 2 * k->body->side, to_parallel(w, k, x, k->push), 2);
+  copy_rows(f + n, run(u) + 2 * k->body->side, 2);
   return f;
 }
 
@@ -203,12 +206,13 @@ typedef struct {
 /* A panel shortened: ln(decay) may fall by so much, also if it goes on as at the start, so that the
    first node still sees a layer there. A gain that grows later is seen by the other nodes. */
 static double longest(const motion_t *m, double tau, double h, double steepest) {
+  const drive_t *d = m->track->drive;
   if (m->slip <= 0) return h;
-  const double first = gain_at(m->drive, tau), lost = lost_at(m->drive, tau);
+  const double first = gain_at(d, tau), lost = lost_at(d, tau);
   if (lost > 40.0) return h;
   if (first * h > steepest) h = 0.99 * steepest / first;
   for (int k = 0; k < 60; k++) {
-    const double lam = fmax(first, (lost_at(m->drive, tau + h) - lost) / h);
+    const double lam = fmax(first, (lost_at(d, tau + h) - lost) / h);
     if (lam * h <= steepest) break;
     h = fmax(0.5 * h, 0.99 * steepest / lam);
   }
@@ -325,6 +329,7 @@ static void through(const double *start, lanes_t v, double *out) {
 /* The series of a converged panel and the state at its end; returns the error. */
 static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, lanes_t f,
                           double *out, double *end) {
+  const track_t *k = m->track;
   double error = 0.0, reached[MAX_STATES];
   combine(gauss_series[0], L, m->n, f[0], L, NULL, half, out, TERMS);
   for (int64_t r = 0; r < m->n; r++) {
@@ -339,7 +344,7 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
     for (int a = 0; a < 2; a++) reached[n + a] = dot(gauss_last, x[n + a]);
   }
   memcpy(end, reached, (size_t)m->n * sizeof *reached);
-  if (m->body && m->ambient) restore_body(w, m->body, end);
+  if (k->body && k->ambient) restore_body(w, k->body, end);
   /* what must be put back tells of the panel's error too */
   double back = 0.0, none = 0.0; /* fmax drops a NaN */
   for (int64_t r = 0; r < m->n; r++) {
@@ -353,9 +358,10 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
 /* Whether rates may jump: where what disturbs in chart components meets a pole, of the finger as
    well, or where a user's chart has a kink */
 static int may_jump(const motion_t *m) {
-  if (!m->body) return 0;
+  const track_t *k = m->track;
+  if (!k->body) return 0;
   if (m->finger && m->finger->ambient && any(m->finger->push)) return 1;
-  return m->ambient ? any(m->offset) || any(m->push) : m->body->surface->flags & MAY_BE_SINGULAR;
+  return k->ambient ? any(k->offset) || any(k->push) : k->body->surface->flags & MAY_BE_SINGULAR;
 }
 
 /* Whether a panel's series fall like 1/k^2 or 1/k^3: rates, or their slopes, jump between nodes */
@@ -397,12 +403,13 @@ static double error_at_ends(work_t *w, const motion_t *m, double tau, double hal
 
 /* The error that even shorter panels have: rounding of L(tau), whose terms may cancel */
 static double rounding(const motion_t *m, const nodes_t *at, double half, double after) {
-  const drive_t *d = m->drive;
+  const drive_t *d = m->track->drive;
+  const body_t *b = m->track->body;
   double terms = 0.0, most = 0.0;
   if (!(m->slip > 0) || m->forced) return 0.0;
   for (int64_t k = d->n_exponent - 1; k >= 0; k--) terms = terms * after + fabs(d->exponent[k]);
   for (int i = 0; i < L; i++) most = fmax(most, at->sigma[i] * at->decay[i]);
-  const double scale = m->body ? 1.0 / m->body->bend : m->scale[0];
+  const double scale = b ? 1.0 / b->bend : m->scale[0];
   return 2e-16 * fmax(terms - lost_at(d, after), 0.0) * m->slip * half * most * scale;
 }
 
@@ -436,7 +443,7 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
   if (after >= m->length * (1 - 1e-14)) after = m->length;
   const double span = after - tau, half = 0.5 * span;
   double rows_f[MAX_STATES][L], rows_x[MAX_STATES][L], t[L], end[MAX_STATES];
-  lanes_t f = rows_f, x = m->body && !m->forced ? motion_table(w, m)->r : rows_x;
+  lanes_t f = rows_f, x = m->track->body && !m->forced ? motion_table(w, m)->r : rows_x;
   nodes_t at;
   for (int i = 0; i < L; i++) t[i] = tau + half * (1.0 + gauss_node[i]);
   fill_nodes(w, m, t, &at);
@@ -470,18 +477,19 @@ static void make_room(work_t *w, int64_t n, int64_t rows) {
 
 static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s, int code,
                                   int64_t count) {
+  const track_t *k = m->track;
   failure_t *e = w->failure;
-  const double start = m->by_length ? 0.0 : m->drive->start;
+  const double start = k->by_length ? 0.0 : k->drive->start;
   e->t = start + s->tau, e->end = start + m->length, e->panels = count;
   const int this = w->spent - w->begun > w->most;
   e->spent = w->spent, e->most = this ? w->spent - w->begun : w->most;
   e->greediest = this ? e->contact : w->greediest;
-  e->by_length = m->by_length, e->pushed = m->forced;
-  e->value = m->by_length ? 1.0 : sigma_at(m->drive, s->tau);
-  if (m->body) { /* where it stands */
+  e->by_length = k->by_length, e->pushed = m->forced;
+  e->value = k->by_length ? 1.0 : sigma_at(k->drive, s->tau);
+  if (k->body) { /* where it stands */
     double place[5] = {m->state[0], m->state[1]};
-    if (m->ambient)
-      run_one(w, m->body->surface->moved[IN_SPACE][M_COORDINATES], m->body->numbers, m->state,
+    if (k->ambient)
+      run_one(w, k->body->surface->moved[IN_SPACE][M_COORDINATES], k->body->numbers, m->state,
               place);
     e->u = place[0], e->v = place[1];
   }
@@ -520,7 +528,8 @@ static panels_t integrate(work_t *w, motion_t *m, double tolerance) {
     make_room(w, count + 1, m->n);
     if (!panel(w, m, &s, w->series + count * m->n * TERMS)) continue;
     w->edges[++count] = s.tau;
-    if (m->finish > 0 && s.tau < m->length && m->slip * decay_at(m->drive, s.tau) <= m->finish)
+    if (m->finish > 0 && s.tau < m->length &&
+        m->slip * decay_at(m->track->drive, s.tau) <= m->finish)
       break;
   }
   const size_t edges = (size_t)count + 1, series = (size_t)(count * m->n) * TERMS;

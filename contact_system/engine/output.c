@@ -79,10 +79,8 @@ static const double LOST = 1e-12;
 
 static void find_coordinates(work_t *w, side_t *a, const double *x, const double *turns, int n) {
   const track_t *k = a->track;
-  unit_t *u = table_of(w, k->body, k->ambient, M_COORDINATES);
-  const int rows = state_size(k->ambient);
-  copy_rows(u->r, a->state, rows);
-  copy_rows(u->r + rows, a->velocity, 2);
+  unit_t *u = table_at(w, k, M_COORDINATES, a->state);
+  copy_rows(u->r + state_size(k->ambient), a->velocity, 2);
   copy_rows(a->coordinates, run(u), N_COORDINATES);
   if (k->ambient) {
     const path_t p = {w, k};
@@ -97,12 +95,6 @@ static void find_coordinates(work_t *w, side_t *a, const double *x, const double
   }
   for (int j = 0; j < 2 && any(k->offset); j++)
     for (int i = 0; i < L; i++) a->coordinates[DU + j][i] += k->offset[j];
-}
-
-static void find_one(work_t *w, const track_t *k, int table, lanes_t state, lanes_t out, int rows) {
-  unit_t *u = table_of(w, k->body, k->ambient, table);
-  copy_rows(u->r, state, state_size(k->ambient));
-  copy_rows(out, run(u), rows);
 }
 
 /* One body, at n of L times */
@@ -127,13 +119,13 @@ static void sample_body(work_t *w, sample_t *m, int s, int n, int needs) {
   }
   if (k->ambient) copy_rows(a->frame, state, needs & NEED_FRAME ? 6 : 3);
   if (needs & NEED_FRAME)
-    k->ambient ? find_one(w, k, A_SECOND, state, a->frame + 6, 3)
-               : find_one(w, k, C_FRAME, state, a->frame, 9);
+    k->ambient ? copy_rows(a->frame + 6, run(table_at(w, k, A_SECOND, state)), 3)
+               : copy_rows(a->frame, run(table_at(w, k, C_FRAME, state)), 9);
   else if (needs & NEED_POINT && !k->ambient)
-    find_one(w, k, C_POINT, state, a->frame, 3);
-  if (needs & NEED_SHAPE) find_one(w, k, M_SHAPE, state, a->shape, 3);
+    copy_rows(a->frame, run(table_at(w, k, C_POINT, state)), 3);
+  if (needs & NEED_SHAPE) copy_rows(a->shape, run(table_at(w, k, M_SHAPE, state)), 3);
   if (any(k->offset)) {
-    copy_rows(a->offset, to_parallel(w, k->body, k->ambient, a->state, k->offset), 2);
+    copy_rows(a->offset, to_parallel(w, k, a->state, k->offset), 2);
     for (int j = 0; j < 2 && needs & NEED_VELOCITY; j++)
       for (int i = 0; i < L; i++) a->velocity[j][i] += a->offset[j][i];
   }
@@ -182,7 +174,7 @@ static void accelerate(work_t *w, const contact_t *c, sample_t *m, lanes_t out) 
     const double *d = s->acting + 2 * k;
     const side_t *a = &m->side[k];
     if (!any(d)) continue;
-    lanes_t found = to_parallel(w, a->track->body, a->track->ambient, (lanes_t)a->state, d);
+    lanes_t found = to_parallel(w, a->track, a->state, d);
     copy_rows(u->r + 5 + 2 * k, found, 2);
   }
   copy_rows(out, run(u), 2);

@@ -30,9 +30,9 @@ static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, 
   const int64_t n = c->c->n_tracks[side]++;
   track_t *k = c->c->tracks[side] + n;
   c->c->track_edges[side][n] = d->start, c->c->track_edges[side][n + 1] = HUGE_VAL;
-  const body_t *b = &c->c->body[side];
-  *k = (track_t){.body = b, .drive = d, .stop = stop, .reason = reason};
-  k->ambient = moves_in_space(b->surface), k->push = k->offset = UNDISTURBED;
+  memset(k, 0, sizeof *k);
+  k->body = &c->c->body[side], k->drive = d, k->stop = stop, k->reason = reason;
+  k->ambient = moves_in_space(k->body->surface), k->push = k->offset = UNDISTURBED;
   memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
   return k;
 }
@@ -70,32 +70,29 @@ static void in_form(course_t *c, int side, int ambient, double *state) {
 
 /* ---- integrated tracks ---- */
 
-/* A body from where it stands. Where its chart is a double cover the sign of chart components
-   belongs to the branch that the path is on, which only the chart form knows. */
-static motion_t motion_of(course_t *c, int side, const drive_t *d, const double *push,
-                          const double *offset) {
+/* A body from where it stands on, on a new track. Where its chart is a double cover the sign of
+   chart components belongs to the branch that the path is on, which only the chart form knows. */
+static motion_t add_motion(course_t *c, int side, const drive_t *d, int reason, const double *push,
+                           const double *offset) {
   const body_t *b = &c->c->body[side];
-  motion_t m = {.body = b, .r0 = c->c->r0, .drive = d, .push = push, .offset = offset};
   const int by_branch = b->surface->double_cover && (any(push) || any(offset));
-  m.length = d->stop - d->start, m.reach = b->reach;
-  m.ambient = moves_in_space(b->surface) && !by_branch, m.n = state_size(m.ambient);
-  in_form(c, side, m.ambient, m.state);
-  scales(c->w, m.ambient, b, m.state, m.scale);
-  memcpy(m.w, side ? c->w2 : c->w1, sizeof m.w);
+  const int ambient = moves_in_space(b->surface) && !by_branch;
+  motion_t m = {.n = state_size(ambient), .r0 = c->c->r0, .reach = b->reach};
+  in_form(c, side, ambient, m.state);
+  scales(c->w, ambient, b, m.state, m.scale);
+  m.track = add_track(c, side, d, d->stop, reason), m.length = d->stop - d->start;
+  m.track->kind = PANELS, m.track->ambient = ambient;
+  m.track->push = push, m.track->offset = offset;
   return m;
 }
 
-/* Integrates a motion and makes it a track, which ends at `stop` or where the motion does. */
-static track_t *add_motion(course_t *c, motion_t *m, double stop, int reason) {
-  const int side = m->body->side;
-  c->w->failure->side = side;
-  const panels_t panels = integrate(c->w, m, c->w->plan->scene[S_TOLERANCE]);
-  const double reached = panels.edges[panels.n];
-  if (reached < m->length) stop = m->drive->start + reached;
-  track_t *k = add_track(c, side, m->drive, stop, reason);
-  k->kind = PANELS, k->panels = panels;
-  k->ambient = m->ambient, k->by_length = m->by_length;
-  k->push = m->push, k->offset = m->offset;
+/* Integrates a motion, with which its track may end earlier. */
+static track_t *carry_out(course_t *c, motion_t *m) {
+  track_t *k = m->track;
+  c->w->failure->side = k->body->side;
+  k->panels = integrate(c->w, m, c->w->plan->scene[S_TOLERANCE]);
+  const double reached = k->panels.edges[k->panels.n];
+  if (reached < m->length) k->stop = k->drive->start + reached;
   require_regular(c->w, k);
   return k;
 }
@@ -121,12 +118,13 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
     (closed == GREAT_CIRCLES ? lay_circle : lay_line)(c->w, state, k);
     return;
   }
-  motion_t m = motion_of(c, side, drive, UNDISTURBED, UNDISTURBED);
-  const double speed = norm(m.w);
+  motion_t m = add_motion(c, side, drive, reason, UNDISTURBED, UNDISTURBED);
+  const double speed = norm(m.track->w);
   /* where sigma touches zero at a window's edge, an interval may be as short as rounding */
-  m.by_length = 1, m.length = fmax(length_at(drive, stop - drive->start), 1e-300);
+  m.track->by_length = 1, m.track->stop = stop;
+  m.length = fmax(length_at(drive, stop - drive->start), 1e-300);
   m.first = speed > 0 ? fmin(first_length(b) / speed, 4.0 * m.length) : 4.0 * m.length;
-  add_motion(c, &m, stop, reason);
+  carry_out(c, &m);
 }
 
 /* ---- slip and rate offsets ---- */
@@ -146,7 +144,8 @@ static double first_panel(const drive_t *d, double span, const body_t *b) {
 
 /* g(t) = int sigma exp(-L), right to rounding whatever the tolerance */
 static panels_t slip_length(course_t *c, const drive_t *d) {
-  motion_t m = {.n = 1, .drive = d, .length = d->stop - d->start};
+  track_t bodiless = {.drive = d};
+  motion_t m = {.n = 1, .track = &bodiless, .length = d->stop - d->start};
   m.first = 4.0 * m.length, m.slip = 1.0, m.reach = HUGE_VAL;
   m.scale[0] = d->per_metre; /* the inverse of the most that g may be */
   return integrate(c->w, &m, 1e-15);
@@ -167,11 +166,11 @@ static void line(course_t *c, const drive_t *d, const double *offset, int matter
    tolerance; returns the time reached. */
 static double driven(course_t *c, const drive_t *d, const double *offset, double negligible) {
   const body_t *b = &c->c->body[1];
-  motion_t m = motion_of(c, 1, d, UNDISTURBED, offset);
+  motion_t m = add_motion(c, 1, d, reason_of(c, offset), UNDISTURBED, offset);
   memcpy(m.v, c->v, sizeof m.v);
   m.slip = norm(c->v), m.finish = any(offset) ? 0.0 : negligible;
   m.first = first_panel(d, m.length, b);
-  return add_motion(c, &m, d->stop, reason_of(c, offset))->stop;
+  return carry_out(c, &m)->stop;
 }
 
 /* The object on a segment on which nothing accelerates; `stop`: the end of the run of such segments
@@ -215,9 +214,10 @@ static void go_along(course_t *c, const double *w1) {
 static motion_t forced_motion(course_t *c, int side, const segment_t *s, const double *more,
                               double scale) {
   const drive_t *d = s->drive;
-  motion_t m = motion_of(c, side, d, s->acting + 2 * side, side ? s->acting + 4 : UNDISTURBED);
+  motion_t m =
+      add_motion(c, side, d, PUSHED, s->acting + 2 * side, side ? s->acting + 4 : UNDISTURBED);
   for (int a = 0; a < 2; a++) m.state[m.n + a] = more[a], m.scale[m.n + a] = scale;
-  m.n += 2, m.forced = 1, m.first = first_panel(d, m.length, m.body);
+  m.n += 2, m.forced = 1, m.first = first_panel(d, m.length, m.track->body);
   return m;
 }
 
@@ -238,7 +238,7 @@ static void forced(course_t *c, segment_t *s) {
   const track_t *finger = NULL;
   if (any(act)) {
     motion_t m = forced_motion(c, 0, s, c->w1, 1.0);
-    finger = add_motion(c, &m, d->stop, PUSHED);
+    finger = carry_out(c, &m);
     s->w1_panels = &finger->panels;
     go_along(c, m.state + m.n - 2);
   }
@@ -249,7 +249,7 @@ static void forced(course_t *c, segment_t *s) {
       fmax(push / fmax(d->least, 1e-300) * fmin(d->stop - d->start, memory(d)), 1e-3);
   motion_t m = forced_motion(c, 1, s, c->v, 1.0 / fmin(fmax(norm(c->v), grown), 1.0));
   m.slip = 1.0, m.finger = finger;
-  s->v_panels = &add_motion(c, &m, d->stop, PUSHED)->panels;
+  s->v_panels = &carry_out(c, &m)->panels;
   memcpy(c->v, m.state + m.n - 2, sizeof c->v);
 }
 

@@ -10,10 +10,8 @@ static const double TURNED_OVER = -0.7;
 /* Normals at places xi of a panel, and u v theta there */
 static void normals(work_t *w, const track_t *k, int64_t panel, const double *xi, lanes_t place,
                     double (*out)[3]) {
-  unit_t *u = table_of(w, k->body, IN_CHART, C_FRAME);
   series_at(k->panels.series + panel * k->panels.rows * TERMS, 3, xi, place);
-  copy_rows(u->r, place, 3);
-  lanes_t p = run(u) + 3, q = p + 3;
+  lanes_t p = run(table_at(w, k, C_FRAME, place)) + 3, q = p + 3;
   for (int i = 0; i < L; i++)
     for (int j = 0; j < 3; j++) {
       const int a = (j + 1) % 3, c = (j + 2) % 3;
