@@ -64,33 +64,25 @@ static inline int on_seam(double u, double v) {
   return fabs(a - rint(a)) < 1e-12 || fabs(b - rint(b)) < 1e-12;
 }
 
-/* Moves one point by whole turns to where it is nearest to its reference u v theta; a turned one is
-   moved to (-u, pi - v) before, where the chart's axes are turned by pi. */
-static inline void wind_to(const surface_t *s, int turned, const double *ref, lanes_t z, int i) {
+/* Moves a point u v u' v' theta by whole turns to where it is nearest to its reference u v theta; a
+   turned one is moved to (-u, pi - v) before, where the chart's axes are turned by pi. */
+static inline void wind_to(const surface_t *s, int turned, const double *ref, double *z) {
   const double half = turned ? 0.5 * TURN : 0.0, sign = turned ? -1.0 : 1.0;
-  z[U][i] = wound(sign * z[U][i], ref[0], s->period_u);
-  z[V][i] = wound(half + sign * z[V][i], ref[1], s->period_v);
-  z[DU][i] *= sign, z[DV][i] *= sign;
-  z[THETA][i] = wound(z[THETA][i] + half, ref[2], TURN);
+  z[U] = wound(sign * z[U], ref[0], s->period_u);
+  z[V] = wound(half + sign * z[V], ref[1], s->period_v);
+  z[DU] *= sign, z[DV] *= sign;
+  z[THETA] = wound(z[THETA] + half, ref[2], TURN);
 }
 
-/* One point in principal coordinates to the nearer branch, which is the one where sin u cos v has
+/* A point in principal coordinates to the nearer branch, which is the one where sin u cos v has
    its reference's sign */
-static void wind(const surface_t *s, const double *ref, lanes_t z, int i) {
-  const double u = z[U][i], v = z[V][i];
+static void wind(const surface_t *s, const double *ref, double *z) {
+  const double u = z[U], v = z[V];
   const double du = wound(u, ref[0], s->period_u) - ref[0];
   const double dv = wound(v, ref[1], s->period_v) - ref[1];
   const double du2 = wound(-u, ref[0], s->period_u) - ref[0];
   const double dv2 = wound(0.5 * TURN - v, ref[1], s->period_v) - ref[1];
-  wind_to(s, s->double_cover && du2 * du2 + dv2 * dv2 < du * du + dv * dv, ref, z, i);
-}
-
-/* u v u' v' theta of one place to the branch of a reference u v theta */
-static void wind_place(const surface_t *s, const double *ref, double *place) {
-  double z[N_COORDINATES][L];
-  for (int r = 0; r < N_COORDINATES; r++) z[r][0] = place[r];
-  wind(s, ref, z, 0);
-  for (int r = 0; r < N_COORDINATES; r++) place[r] = z[r][0];
+  wind_to(s, s->double_cover && du2 * du2 + dv2 * dv2 < du * du + dv * dv, ref, z);
 }
 
 /* Whether a path crosses cos v = 0, not sin u = 0, between two marks on different sides, the first
@@ -158,42 +150,41 @@ static int comes_back(const path_t *p, mark_t a, mark_t c, int negative, mark_t 
 /* The same along a path that comes from ref at x, in a chart that covers its surface once. Beside a
    pole theta and an azimuth swing by half a turn, to opposite sides or the same one, which is seen
    only where they have swung by less. */
-static void wind_swing(const path_t *p, double x, const double *ref, double x2, lanes_t z, int i) {
-  double half[N_COORDINATES][L], value[N_COORDINATES];
+static void wind_swing(const path_t *p, double x, const double *ref, double x2, double *z) {
+  double half[N_COORDINATES];
   const double middle = 0.5 * (x + x2);
-  const int swings = fabs(wound(z[THETA][i], ref[2], TURN) - ref[2]) > 0.25 * TURN;
-  if (!swings || !(middle > x && middle < x2) || place_on(p, middle, value)) {
-    wind(p->track->body->surface, ref, z, i);
+  const int swings = fabs(wound(z[THETA], ref[2], TURN) - ref[2]) > 0.25 * TURN;
+  if (!swings || !(middle > x && middle < x2) || place_on(p, middle, half)) {
+    wind(p->track->body->surface, ref, z);
     return;
   }
-  for (int r = 0; r < N_COORDINATES; r++) half[r][0] = value[r];
-  wind_swing(p, x, ref, middle, half, 0);
-  wind_swing(p, middle, (double[3]){half[U][0], half[V][0], half[THETA][0]}, x2, z, i);
+  wind_swing(p, x, ref, middle, half);
+  wind_swing(p, middle, (double[3]){half[U], half[V], half[THETA]}, x2, z);
 }
 
-/* One point of a path, in principal coordinates, to the branch that it is on at `to` coming from
+/* A point of a path, in principal coordinates, to the branch that it is on at `to` coming from
    ref at `from`; bends: whether the path may come back between them */
 static void wind_along(const path_t *p, mark_t from, const double *ref, mark_t to, int bends,
-                       lanes_t z, int i) {
+                       double *z) {
   const surface_t *s = p->track->body->surface;
   if (!s->double_cover) {
-    wind_swing(p, from.x, ref, to.x, z, i);
+    wind_swing(p, from.x, ref, to.x, z);
     return;
   }
-  if (on_seam(ref[0], ref[1]) || on_seam(z[U][i], z[V][i])) {
-    wind(s, ref, z, i);
+  if (on_seam(ref[0], ref[1]) || on_seam(z[U], z[V])) {
+    wind(s, ref, z);
     return;
   }
   const int side = beyond(ref[0], ref[1]);
   int turned = second_cover(ref[1]);
   mark_t there;
-  if (beyond(z[U][i], 0.0) != side) {
+  if (beyond(z[U], 0.0) != side) {
     turned ^= over_seam(p, from, to, side);
   } else if (bends && comes_back(p, from, to, side, &there)) {
     turned ^= over_seam(p, from, there, side);
     turned ^= over_seam(p, there, to, !side);
   }
-  wind_to(s, turned, ref, z, i);
+  wind_to(s, turned, ref, z);
 }
 
 /* ---- anchors ---- */
@@ -253,13 +244,12 @@ static void anchor_track(work_t *w, track_t *k, const double *begin) {
   for (int64_t i = 0; i < n; i++)
     marks[i] = (mark_t){at[i], twice ? side_of(raw[i][U], raw[i][V]) : 0.0};
   for (int64_t i = 0; i < n; i++) {
-    double z[N_COORDINATES][L];
-    for (int r = 0; r < N_COORDINATES; r++) z[r][0] = raw[i][r];
+    double *z = raw[i];
     if (i)
-      wind_along(&p, marks[i - 1], to[i - 1], marks[i], twice && bends_before(marks, n, i), z, 0);
+      wind_along(&p, marks[i - 1], to[i - 1], marks[i], twice && bends_before(marks, n, i), z);
     else
-      wind(s, begin, z, 0);
-    to[i][0] = z[U][0], to[i][1] = z[V][0], to[i][2] = z[THETA][0];
+      wind(s, begin, z);
+    to[i][0] = z[U], to[i][1] = z[V], to[i][2] = z[THETA];
   }
   if (k->kind == CIRCLE) /* a revolution later everything is as before but for whole turns */
     for (int j = 0; j < 3; j++) k->turn[j] = TURN * rint((to[n - 1][j] - to[0][j]) / TURN);
@@ -294,27 +284,27 @@ static between_t between(const track_t *k, double x, double turns, int64_t *hint
   return w;
 }
 
-/* One point of a path at x, in principal coordinates, to its branch */
-static void wind_between(const path_t *p, const between_t *w, double x, lanes_t z, int i) {
+/* A point of a path at x, in principal coordinates, to its branch */
+static void wind_between(const path_t *p, const between_t *w, double x, double *z) {
   const surface_t *s = p->track->body->surface;
   const double *ref = w->high - x < x - w->low ? w->after : w->before;
-  const double u = z[U][i], v = z[V][i];
+  const double u = z[U], v = z[V];
   if (w->signs) {
     const int differs = beyond(u, 0.0) != w->side;
     if (!differs && !w->sides && !w->covers) {
-      wind_to(s, w->cover, ref, z, i);
+      wind_to(s, w->cover, ref, z);
       return;
     }
     if (!on_seam(u, v)) {
       if (!w->sides) {
         const mark_t from = {w->low, side_of(w->before[0], w->before[1])};
-        wind_along(p, from, w->before, (mark_t){x, side_of(u, v)}, 1, z, i);
+        wind_along(p, from, w->before, (mark_t){x, side_of(u, v)}, 1, z);
         return;
       }
       ref = differs ? w->after : w->before;
     }
   }
-  wind(s, ref, z, i);
+  wind(s, ref, z);
 }
 
 /* Points of a path in a chart that covers its surface once: whole turns nearest the nearer anchor.
@@ -350,6 +340,9 @@ static void wind_all(const path_t *p, const double *x, const double *turns, lane
   for (int i = 0; i < n; i++) {
     if (i == 0 || !(x[i] >= w.low && x[i] < w.high) || turns[i] != turns[i - 1])
       w = between(p->track, x[i], turns[i], &hint);
-    wind_between(p, &w, x[i], z, i);
+    double place[N_COORDINATES];
+    for (int r = 0; r < N_COORDINATES; r++) place[r] = z[r][i];
+    wind_between(p, &w, x[i], place);
+    for (int r = 0; r < N_COORDINATES; r++) z[r][i] = place[r];
   }
 }

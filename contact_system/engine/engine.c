@@ -177,4 +177,4 @@ const engine_t NAME(VARIANT) = {.variant = TEXT(VARIANT),
                                 .steer = steer,
                                 .sign_changes = sign_changes,
                                 .rays = rays,
-                                .wind = wind_place};
+                                .wind = wind};
