@@ -234,9 +234,8 @@ static void anchor_track(work_t *w, track_t *k, const double *begin) {
   const surface_t *s = k->body->surface;
   const double *at;
   const int64_t n = anchor_places(w, k, &at);
-  double (*to)[3] = keep(w, (size_t)(3 * n)), (*raw)[N_COORDINATES];
-  free(w->raw);
-  if (!(raw = w->raw = malloc((size_t)n * (sizeof *raw + sizeof(mark_t))))) fail(w, NO_MEMORY);
+  double (*to)[3] = keep(w, (size_t)(3 * n));
+  double (*raw)[N_COORDINATES] = (void *)room_for(w, &w->raw, (size_t)n * (N_COORDINATES + 2));
   mark_t *marks = (mark_t *)(raw + n);
   const path_t p = {w, k};
   raw_anchors(&p, n, at, begin, raw);

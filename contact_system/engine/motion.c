@@ -51,12 +51,7 @@ static unit_t *pair_table(work_t *w, int table, const double *constants) {
 /* A table at one point */
 static void run_one(work_t *w, const table_t *t, const double *constants, const double *in,
                     double *out) {
-  if (w->n_one < t->n_regs) {
-    free(w->one), w->n_one = 0;
-    if (!(w->one = malloc((size_t)t->n_regs * sizeof *w->one))) fail(w, NO_MEMORY);
-    w->n_one = t->n_regs;
-  }
-  double *r = w->one;
+  double *r = room_for(w, &w->one, (size_t)t->n_regs);
   memcpy(r, in, (size_t)t->n_in * sizeof *r);
   if (t->n_const) memcpy(r + t->n_in, constants, (size_t)t->n_const * sizeof *r);
   if (t->n_lit) memcpy(r + t->first_lit, t->literals, (size_t)t->n_lit * sizeof *r);
@@ -463,18 +458,6 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
   return judge_panel(m, s, after, error, at.allowed, end);
 }
 
-/* Room for n panels of a motion's series; what is there stays. */
-static void make_room(work_t *w, int64_t n, int64_t rows) {
-  if (n * rows <= w->room) return;
-  const int64_t room = 2 * n * rows;
-  double *edges = realloc(w->edges, (size_t)(room + 1) * sizeof(double));
-  if (!edges) fail(w, NO_MEMORY);
-  w->edges = edges;
-  double *series = realloc(w->series, (size_t)(room * TERMS + L) * sizeof(double));
-  if (!series) fail(w, NO_MEMORY);
-  w->series = series, w->room = room;
-}
-
 static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s, int code,
                                   int64_t count) {
   const track_t *k = m->track;
@@ -518,23 +501,23 @@ static panels_t integrate(work_t *w, motion_t *m, double tolerance) {
   m->tolerance = fmax(0.1 * fmin(tolerance, COARSE), 4e-16);
   const double wide = pow(m->tolerance / 1e-13, 1.0 / L), first = fmin(m->first * wide, m->length);
   step_t s = {.h = longest(m, 0.0, first, fmin(STEEPEST, FALL * wide))};
-  int64_t count = 0;
+  const size_t size = (size_t)m->n * TERMS; /* of a panel's series */
+  size_t count = 0;
   double mark = 0.0;
-  make_room(w, 8, m->n);
-  w->edges[0] = 0.0;
+  room_for(w, &w->edges, 8)[0] = 0.0;
   for (int64_t tries = 1; s.tau < m->length; tries++) {
     w->spent++;
-    require_progress(w, m, &s, count, tries, &mark);
-    make_room(w, count + 1, m->n);
-    if (!panel(w, m, &s, w->series + count * m->n * TERMS)) continue;
-    w->edges[++count] = s.tau;
+    require_progress(w, m, &s, (int64_t)count, tries, &mark);
+    double *series = room_for(w, &w->series, (count + 8) * size);
+    double *edges = room_for(w, &w->edges, count + 2);
+    if (!panel(w, m, &s, series + count * size)) continue;
+    edges[++count] = s.tau;
     if (m->finish > 0 && s.tau < m->length &&
         m->slip * decay_at(m->track->drive, s.tau) <= m->finish)
       break;
   }
-  const size_t edges = (size_t)count + 1, series = (size_t)(count * m->n) * TERMS;
-  panels_t p = {.n = count, .rows = m->n};
-  p.edges = memcpy(keep(w, edges), w->edges, edges * sizeof(double));
-  p.series = memcpy(keep(w, series), w->series, series * sizeof(double));
+  panels_t p = {.n = (int64_t)count, .rows = m->n};
+  p.edges = memcpy(keep(w, count + 1), w->edges.data, (count + 1) * sizeof(double));
+  p.series = memcpy(keep(w, count * size), w->series.data, count * size * sizeof(double));
   return p;
 }

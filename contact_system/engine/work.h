@@ -87,17 +87,21 @@ struct plan {
 
 enum { MAX_STATES = 8, TERMS = L + 1 };
 
+/* numbers for a while, which grow in number */
+typedef struct {
+  double *data;
+  size_t size;
+} room_t;
+
 struct work {
   jmp_buf jump;
   failure_t *failure;
   plan_t *plan;
   unit_t body[2][2][N_MOVED]; /* side, ambient or not, table */
   unit_t pair[N_CONTACT_TABLES];
-  double *one; /* registers of tables that run at one point; so many */
-  int64_t n_one;
-  double *edges, *series;  /* of the motion that is being integrated */
-  int64_t room;            /* for so many rows of series */
-  void *raw;               /* anchors that are being found */
+  room_t one;              /* registers of tables that run at one point */
+  room_t edges, series;    /* of the motion that is being integrated */
+  room_t raw;              /* anchors that are being found */
   int64_t spent, begun;    /* panels tried so far, and before this contact */
   int64_t most, greediest; /* by the contact that took most, of those before */
 };
@@ -118,7 +122,17 @@ static void end_work(work_t *w) {
     for (int a = 0; a < 2; a++)
       for (int t = 0; t < N_MOVED; t++) free(w->body[s][a][t].r);
   for (int t = 0; t < N_CONTACT_TABLES; t++) free(w->pair[t].r);
-  free(w->one), free(w->edges), free(w->series), free(w->raw);
+  free(w->one.data), free(w->edges.data), free(w->series.data), free(w->raw.data);
+}
+
+/* Room for n doubles; what is there stays. */
+static double *room_for(work_t *w, room_t *room, size_t n) {
+  if (n > room->size) {
+    double *data = realloc(room->data, 2 * n * sizeof *data);
+    if (!data) fail(w, NO_MEMORY);
+    room->data = data, room->size = 2 * n;
+  }
+  return room->data;
 }
 
 /* Room for n doubles in the plan */
