@@ -9,16 +9,10 @@
 enum { U, V, DU, DV, THETA, N_COORDINATES };
 enum { PANEL_ANCHORS = 4, CIRCLE_ANCHORS = 16 }; /* a panel, a revolution */
 
-/* one body's path, in the variable of its panels or the phase of its circle */
-typedef struct {
-  work_t *w;
-  const track_t *track;
-} path_t;
-
-/* u v u' v' theta in principal values at places x; rates are none */
-static lanes_t principal(const path_t *p, const double *x) {
-  const track_t *k = p->track;
-  unit_t *u = table_of(p->w, k->body, IN_SPACE, M_COORDINATES);
+/* u v u' v' theta in principal values at places x of a path, in the variable of its panels or the
+   phase of its circle; rates are none */
+static lanes_t principal(work_t *w, const track_t *k, const double *x) {
+  unit_t *u = table_of(w, k->body, IN_SPACE, M_COORDINATES);
   if (k->kind == CIRCLE)
     circle_at(k, x, 6, u->r);
   else
@@ -28,10 +22,10 @@ static lanes_t principal(const path_t *p, const double *x) {
 }
 
 /* The same at one place; returns not 0 where there are none, at a pole or an umbilic. */
-static int place_on(const path_t *p, double x, double *value) {
+static int place_on(work_t *w, const track_t *k, double x, double *value) {
   double at[L], sum = 0.0;
   fill_lanes(at, x);
-  lanes_t z = principal(p, at);
+  lanes_t z = principal(w, k, at);
   for (int r = 0; r < N_COORDINATES; r++) value[r] = z[r][0], sum += 0.0 * z[r][0];
   return sum != 0.0;
 }
@@ -88,7 +82,7 @@ static void wind(const surface_t *s, const double *ref, double *z) {
 /* Whether a path crosses cos v = 0, not sin u = 0, between two marks on different sides, the first
    negative or not: told where it crosses, by regula falsi (Illinois), so that it is right beside
    umbilics. */
-static int over_seam(const path_t *p, mark_t a, mark_t b, int negative) {
+static int over_seam(work_t *w, const track_t *k, mark_t a, mark_t b, int negative) {
   double value[N_COORDINATES], last = 0.0, s = 0.0, c = 1.0;
   a.y = negative ? -fabs(a.y) : fabs(a.y), b.y = negative ? fabs(b.y) : -fabs(b.y);
   for (int i = 0; i < 100; i++) {
@@ -96,7 +90,7 @@ static int over_seam(const path_t *p, mark_t a, mark_t b, int negative) {
     if (!(at > a.x && at < b.x)) at = 0.5 * (a.x + b.x);
     /* to rounding: a path may run along a seam and cross it elsewhere */
     if (i && !(at > a.x && at < b.x)) break;
-    if (place_on(p, at, value)) return 0;
+    if (place_on(w, k, at, value)) return 0;
     s = sin(value[U]), c = cos(value[V]);
     const mark_t found = {at, s * c};
     if (fmin(fabs(s), c) <= 1e-15 * fmax(fabs(s), c)) break;
@@ -114,14 +108,15 @@ static int over_seam(const path_t *p, mark_t a, mark_t b, int negative) {
 
 /* Whether a path leaves its side of y = 0 and comes back between two marks, told with one of where
    it is beyond: by parabolas towards the least |y|. */
-static int comes_back(const path_t *p, mark_t a, mark_t c, int negative, mark_t *there) {
+static int comes_back(work_t *w, const track_t *k, mark_t a, mark_t c, int negative,
+                      mark_t *there) {
   const double sign = negative ? -1.0 : 1.0;
   double at = 0.5 * (a.x + c.x), value[N_COORDINATES];
   mark_t b = {at, HUGE_VAL}; /* the least of three */
   a.y *= sign, c.y *= sign;
   if (fmin(a.y, c.y) > 0.25) return 0; /* too far for less than half a radian */
   for (int i = 0; i < 30; i++) {
-    if (!(at > a.x && at < c.x) || place_on(p, at, value)) return 0;
+    if (!(at > a.x && at < c.x) || place_on(w, k, at, value)) return 0;
     *there = (mark_t){at, side_of(value[U], value[V])};
     const mark_t now = {at, sign * there->y};
     if (now.y < 0.0) return 1;
@@ -150,25 +145,26 @@ static int comes_back(const path_t *p, mark_t a, mark_t c, int negative, mark_t 
 /* The same along a path that comes from ref at x, in a chart that covers its surface once. Beside a
    pole theta and an azimuth swing by half a turn, to opposite sides or the same one, which is seen
    only where they have swung by less. */
-static void wind_swing(const path_t *p, double x, const double *ref, double x2, double *z) {
+static void wind_swing(work_t *w, const track_t *k, double x, const double *ref, double x2,
+                       double *z) {
   double half[N_COORDINATES];
   const double middle = 0.5 * (x + x2);
   const int swings = fabs(wound(z[THETA], ref[2], TURN) - ref[2]) > 0.25 * TURN;
-  if (!swings || !(middle > x && middle < x2) || place_on(p, middle, half)) {
-    wind(p->track->body->surface, ref, z);
+  if (!swings || !(middle > x && middle < x2) || place_on(w, k, middle, half)) {
+    wind(k->body->surface, ref, z);
     return;
   }
-  wind_swing(p, x, ref, middle, half);
-  wind_swing(p, middle, (double[3]){half[U], half[V], half[THETA]}, x2, z);
+  wind_swing(w, k, x, ref, middle, half);
+  wind_swing(w, k, middle, (double[3]){half[U], half[V], half[THETA]}, x2, z);
 }
 
 /* A point of a path, in principal coordinates, to the branch that it is on at `to` coming from
    ref at `from`; bends: whether the path may come back between them */
-static void wind_along(const path_t *p, mark_t from, const double *ref, mark_t to, int bends,
-                       double *z) {
-  const surface_t *s = p->track->body->surface;
+static void wind_along(work_t *w, const track_t *k, mark_t from, const double *ref, mark_t to,
+                       int bends, double *z) {
+  const surface_t *s = k->body->surface;
   if (!s->double_cover) {
-    wind_swing(p, from.x, ref, to.x, z);
+    wind_swing(w, k, from.x, ref, to.x, z);
     return;
   }
   if (on_seam(ref[0], ref[1]) || on_seam(z[U], z[V])) {
@@ -179,10 +175,10 @@ static void wind_along(const path_t *p, mark_t from, const double *ref, mark_t t
   int turned = second_cover(ref[1]);
   mark_t there;
   if (beyond(z[U], 0.0) != side) {
-    turned ^= over_seam(p, from, to, side);
-  } else if (bends && comes_back(p, from, to, side, &there)) {
-    turned ^= over_seam(p, from, there, side);
-    turned ^= over_seam(p, there, to, !side);
+    turned ^= over_seam(w, k, from, to, side);
+  } else if (bends && comes_back(w, k, from, to, side, &there)) {
+    turned ^= over_seam(w, k, from, there, side);
+    turned ^= over_seam(w, k, there, to, !side);
   }
   wind_to(s, turned, ref, z);
 }
@@ -196,12 +192,12 @@ static int bends_before(const mark_t *m, int64_t n, int64_t i) {
 }
 
 /* Principal coordinates at the anchors' places; at a pole those of the anchor before it */
-static void raw_anchors(const path_t *p, int64_t n, const double *at, const double *begin,
-                        double (*raw)[N_COORDINATES]) {
+static void raw_anchors(work_t *w, const track_t *k, int64_t n, const double *at,
+                        const double *begin, double (*raw)[N_COORDINATES]) {
   for (int64_t from = 0; from < n; from += L) {
     double x[L];
     gather(x, at + from, n - from < L ? (int)(n - from) : L);
-    lanes_t z = principal(p, x);
+    lanes_t z = principal(w, k, x);
     for (int64_t i = from; i < n && i < from + L; i++) {
       double sum = 0.0;
       for (int r = 0; r < N_COORDINATES; r++) raw[i][r] = z[r][i - from], sum += 0.0 * raw[i][r];
@@ -237,15 +233,14 @@ static void anchor_track(work_t *w, track_t *k, const double *begin) {
   double (*to)[3] = keep(w, (size_t)(3 * n));
   double (*raw)[N_COORDINATES] = (void *)room_for(w, &w->raw, (size_t)n * (N_COORDINATES + 2));
   mark_t *marks = (mark_t *)(raw + n);
-  const path_t p = {w, k};
-  raw_anchors(&p, n, at, begin, raw);
+  raw_anchors(w, k, n, at, begin, raw);
   const int twice = s->double_cover;
   for (int64_t i = 0; i < n; i++)
     marks[i] = (mark_t){at[i], twice ? side_of(raw[i][U], raw[i][V]) : 0.0};
   for (int64_t i = 0; i < n; i++) {
     double *z = raw[i];
     if (i)
-      wind_along(&p, marks[i - 1], to[i - 1], marks[i], twice && bends_before(marks, n, i), z);
+      wind_along(w, k, marks[i - 1], to[i - 1], marks[i], twice && bends_before(marks, n, i), z);
     else
       wind(s, begin, z);
     to[i][0] = z[U], to[i][1] = z[V], to[i][2] = z[THETA];
@@ -270,37 +265,37 @@ typedef struct {
 /* Between the anchors around a place, `turns` revolutions later */
 static between_t between(const track_t *k, double x, double turns, int64_t *hint) {
   const int64_t i = *hint = interval(k->anchor_at, k->n_anchors - 1, x, *hint);
-  between_t w = {.low = k->anchor_at[i], .high = k->anchor_at[i + 1]};
+  between_t gap = {.low = k->anchor_at[i], .high = k->anchor_at[i + 1]};
   for (int j = 0; j < 3; j++) {
-    w.before[j] = k->anchors[i][j] + turns * k->turn[j];
-    w.after[j] = k->anchors[i + 1][j] + turns * k->turn[j];
+    gap.before[j] = k->anchors[i][j] + turns * k->turn[j];
+    gap.after[j] = k->anchors[i + 1][j] + turns * k->turn[j];
   }
-  const double *a = w.before, *b = w.after;
-  w.signs = !on_seam(a[0], a[1]) && !on_seam(b[0], b[1]);
-  if (!w.signs) return w;
-  w.side = beyond(a[0], a[1]), w.sides = w.side != beyond(b[0], b[1]);
-  w.cover = second_cover(a[1]), w.covers = w.cover != second_cover(b[1]);
-  return w;
+  const double *a = gap.before, *b = gap.after;
+  gap.signs = !on_seam(a[0], a[1]) && !on_seam(b[0], b[1]);
+  if (!gap.signs) return gap;
+  gap.side = beyond(a[0], a[1]), gap.sides = gap.side != beyond(b[0], b[1]);
+  gap.cover = second_cover(a[1]), gap.covers = gap.cover != second_cover(b[1]);
+  return gap;
 }
 
 /* A point of a path at x, in principal coordinates, to its branch */
-static void wind_between(const path_t *p, const between_t *w, double x, double *z) {
-  const surface_t *s = p->track->body->surface;
-  const double *ref = w->high - x < x - w->low ? w->after : w->before;
+static void wind_between(work_t *w, const track_t *k, const between_t *gap, double x, double *z) {
+  const surface_t *s = k->body->surface;
+  const double *ref = gap->high - x < x - gap->low ? gap->after : gap->before;
   const double u = z[U], v = z[V];
-  if (w->signs) {
-    const int differs = beyond(u, 0.0) != w->side;
-    if (!differs && !w->sides && !w->covers) {
-      wind_to(s, w->cover, ref, z);
+  if (gap->signs) {
+    const int differs = beyond(u, 0.0) != gap->side;
+    if (!differs && !gap->sides && !gap->covers) {
+      wind_to(s, gap->cover, ref, z);
       return;
     }
     if (!on_seam(u, v)) {
-      if (!w->sides) {
-        const mark_t from = {w->low, side_of(w->before[0], w->before[1])};
-        wind_along(p, from, w->before, (mark_t){x, side_of(u, v)}, 1, z);
+      if (!gap->sides) {
+        const mark_t from = {gap->low, side_of(gap->before[0], gap->before[1])};
+        wind_along(w, k, from, gap->before, (mark_t){x, side_of(u, v)}, 1, z);
         return;
       }
-      ref = differs ? w->after : w->before;
+      ref = differs ? gap->after : gap->before;
     }
   }
   wind(s, ref, z);
@@ -308,9 +303,8 @@ static void wind_between(const path_t *p, const between_t *w, double x, double *
 
 /* Points of a path in a chart that covers its surface once: whole turns nearest the nearer anchor.
    Beside a pole v and theta swing by half a turn: there the anchor that is nearer in theta. */
-static void wind_once(const path_t *p, const double *x, const double *turns, lanes_t z, int n) {
-  const track_t *k = p->track;
-  const surface_t *s = p->track->body->surface;
+static void wind_once(const track_t *k, const double *x, const double *turns, lanes_t z, int n) {
+  const surface_t *s = k->body->surface;
   int64_t at = 0;
   for (int i = 0; i < n; i++) {
     at = interval(k->anchor_at, k->n_anchors - 1, x[i], at);
@@ -328,20 +322,21 @@ static void wind_once(const path_t *p, const double *x, const double *turns, lan
 }
 
 /* Points of a path at places x, in principal coordinates, to their branches */
-static void wind_all(const path_t *p, const double *x, const double *turns, lanes_t z, int n) {
+static void wind_all(work_t *w, const track_t *k, const double *x, const double *turns, lanes_t z,
+                     int n) {
   int64_t hint = 0;
-  between_t w = {.low = HUGE_VAL, .high = -HUGE_VAL};
-  const surface_t *s = p->track->body->surface;
+  between_t gap = {.low = HUGE_VAL, .high = -HUGE_VAL};
+  const surface_t *s = k->body->surface;
   if (!s->double_cover) {
-    wind_once(p, x, turns, z, n);
+    wind_once(k, x, turns, z, n);
     return;
   }
   for (int i = 0; i < n; i++) {
-    if (i == 0 || !(x[i] >= w.low && x[i] < w.high) || turns[i] != turns[i - 1])
-      w = between(p->track, x[i], turns[i], &hint);
+    if (i == 0 || !(x[i] >= gap.low && x[i] < gap.high) || turns[i] != turns[i - 1])
+      gap = between(k, x[i], turns[i], &hint);
     double place[N_COORDINATES];
     for (int r = 0; r < N_COORDINATES; r++) place[r] = z[r][i];
-    wind_between(p, &w, x[i], place);
+    wind_between(w, k, &gap, x[i], place);
     for (int r = 0; r < N_COORDINATES; r++) z[r][i] = place[r];
   }
 }

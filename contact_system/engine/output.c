@@ -83,8 +83,7 @@ static void find_coordinates(work_t *w, side_t *a, const double *x, const double
   copy_rows(u->r + state_size(k->ambient), a->velocity, 2);
   copy_rows(a->coordinates, run(u), N_COORDINATES);
   if (k->ambient) {
-    const path_t p = {w, k};
-    wind_all(&p, x, turns, a->coordinates, n);
+    wind_all(w, k, x, turns, a->coordinates, n);
     const lanes_t z = a->coordinates, v = a->velocity;
     const double lost = LOST * LOST * k->body->size * k->body->size;
     EACH_LANE(i) {
