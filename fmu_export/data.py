@@ -12,16 +12,16 @@ import numpy as np
 
 from contact_system import __version__
 from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, probes_of
-from contact_system.engine.binding import SURFACES, TableData
+from contact_system.engine.binding import N_MOVED, SURFACES, TableData
 from contact_system.planning.motion import Buffer
 from contact_system.surfaces import Ellipsoid, Surface, Torus
 
 from .model import TOLERANCE, equations, frame_sizes, measured
 from .variables import Table
 
-VERSION, HEADER = 20261204, 27
+VERSION, HEADER = 20261205, 27
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
-_SURFACE = "4q2d14q"
+_SURFACE = f"5q2d{2 * N_MOVED}q"
 
 
 class _Data:
@@ -139,10 +139,10 @@ def _orders(surface: Surface, at: int) -> list[tuple[int, int]]:
 def _surface(surface: Surface, data: _Data) -> list[Any]:
     """The row of a surface, by its number in the engine or with its tables."""
     if surface.table_name is not None:
-        return [list(SURFACES).index(surface.table_name), *[0] * 5, *[-1] * 14]
-    own = surface.engine_data
+        place = list(SURFACES).index(surface.table_name)
+        return [place, *surface.traits, *[-1] * (2 * N_MOVED)]
     tables = map(data.table, (*surface.tables.chart, *surface.tables.ambient))
-    return [-1, own.n_numbers, own.double_cover, own.flags, own.period_u, own.period_v, *tables]
+    return [-1, *surface.traits, *tables]
 
 
 def as_c(data: bytes) -> str:

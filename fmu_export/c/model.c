@@ -83,6 +83,7 @@ static void read_surfaces(model_t *m) {
     *own = (surface_t){.name = "",
                        .n_numbers = (int32_t)row->n_numbers,
                        .double_cover = (int32_t)row->double_cover,
+                       .closed = (int32_t)row->closed,
                        .flags = (int32_t)row->flags,
                        .period_u = row->period_u,
                        .period_v = row->period_v};

@@ -18,7 +18,7 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_VERSION 20261204
+#define DATA_VERSION 20261205
 
 typedef struct {
   int64_t at, count;
@@ -90,9 +90,9 @@ typedef struct {
   int64_t values; /* reference of start, stop and two components */
 } window_t;
 
-/* a surface: which of the engine's, or -1 and what it is; its tables, -1: none */
+/* a surface: which of the engine's, or -1; what it is; its own tables, -1: none */
 typedef struct {
-  int64_t builtin, n_numbers, double_cover, flags;
+  int64_t builtin, n_numbers, double_cover, closed, flags;
   double period_u, period_v;
   int64_t tables[2 * N_MOVED];
 } shape_t;
