@@ -298,7 +298,8 @@ def terminals(table: Table) -> str:
     """The text of terminalsAndIcons.xml: terminals of each contact's disturbances and motion.
 
     FMI 3.0.2, section 2.4.9. Members are matched by name, in no order: those of what is measured
-    are called as those of a motion, so that another FMU's motion can be connected to it.
+    are called as those of a motion, so that another FMU's motion can be connected to it. Terminals
+    have no kinds, as importers may refuse to connect different ones.
     """
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     box = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}
@@ -315,11 +316,12 @@ def terminals(table: Table) -> str:
         kind = "disturbance" if v.causality == "input" else "motion"
         kind = "measured" if name.startswith("measured.") else kind
         if (i, kind) not in made:
-            said = {"name": f"contact{i}_{kind}", "matchingRule": "bus", "terminalKind": kind}
+            said = {"name": f"contact{i}_{kind}", "matchingRule": "bus"}
             named = table.scene.contacts[int(i) - 1].name or f"Contact {i}"
             said["description"] = f"{named}: {kind}"
             made[i, kind] = ET.SubElement(everything, "Terminal", said)
-        said = {"variableName": v.name, "memberName": name.removeprefix("measured.")}
+        member = re.sub(r"der\((.*)\)", r"\1_rate", name.removeprefix("measured."))
+        said = {"variableName": v.name, "memberName": member}
         ET.SubElement(made[i, kind], "TerminalMemberVariable", said, variableKind="signal")
     return xml_text(root)
 

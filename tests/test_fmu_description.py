@@ -213,12 +213,11 @@ def test_a_slave_says_what_it_can_do(version):
         in_process(K1, "1.0").__enter__()
 
 
-def test_a_motion_can_be_connected_to_what_another_fmu_measures():
-    table = variable_table(cs.load_scene("K2"), measured="pose")
+@pytest.mark.parametrize("measured", ["pose", "states"])
+def test_a_motion_can_be_connected_to_what_another_fmu_measures(measured):
+    table = variable_table(cs.load_scene("K2"), measured=measured)
     found = {t.get("name"): t for t in ET.fromstring(terminals(table)).find("Terminals")}
     members = {name: {m.get("memberName") for m in t} for name, t in found.items()}
-    assert {f"contact{i}_{kind}" for i in (1, 2, 3) for kind in KINDS} == set(members)
+    kinds = "disturbance", "measured", "motion"
+    assert {f"contact{i}_{kind}" for i in (1, 2, 3) for kind in kinds} == set(members)
     assert members["contact1_measured"] - members["contact1_motion"] == {"trigger"}
-
-
-KINDS = ("disturbance", "measured", "motion")
