@@ -148,6 +148,7 @@ def BuildHandStation(
 
     The systems are named "plant", "scene_graph", "driver", "monitor", and "push" where there are
     pushes; else the driver's port is exported as `push`. The plant's default state is the start.
+    ``extend`` may add systems before the diagram is built.
     """
     of_kind(Reorientation, plan, "plan", "a Reorientation")
     builder = DiagramBuilder()
