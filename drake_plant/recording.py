@@ -115,6 +115,7 @@ class Recording:
             meshcat.SetProperty(path, "visible", False)
         for name in ("top_color", "bottom_color"):
             meshcat.SetProperty("/Background/<object>", name, [1.0, 1.0, 1.0])
+        self._fingers = model_names(scene)
         look_at(meshcat, scene)
 
     def Save(self, path: str | Path, result: SimulationResult | None = None) -> None:
@@ -132,6 +133,10 @@ class Recording:
         if self._visualizer is None:
             raise SceneError(f"nothing to save in {path}: call Add before the Diagram is built")
         self._visualizer.StopRecording()
+        # Drake draws a patch's force on the object, which hides it: turn it to that on the finger.
+        for name in self._fingers:
+            force = f"{FORCES}/hydroelastic/object+{name}/force_C_W"
+            self._meshcat.SetProperty(force, "scale", [1.0, 1.0, -1.0])
         if result is not None:
             draw(self._meshcat, result)
         self._visualizer.PublishRecording()

@@ -17,7 +17,7 @@ from matplotlib.image import imread
 
 import contact_system as cs
 from contact_system.plots.style import COLOURS, DISTURBED
-from drake_plant import StationConfig, simulate
+from drake_plant import simulate
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
@@ -56,8 +56,7 @@ def film(tmp_path_factory):
     """D1, its disturbance early."""
     scene, path = cs.load_scene("D1"), tmp_path_factory.mktemp("film") / "film.html"
     early = dataclasses.replace(scene.disturbances[0], start=0.1, stop=0.3)
-    scene = scene.replace(disturbances=[early], duration=0.4)
-    simulate(scene, StationConfig.from_scene(scene, contact_model="point"), recording=path)
+    simulate(scene.replace(disturbances=[early], duration=0.4), recording=path)
     return path
 
 
