@@ -26,10 +26,12 @@ from contact_system.measures import CONFORMS, relative_curvature
 from contact_system.theory import symbols as ca
 
 from .config import StationConfig
+from .meshes import RoundDomain, icosphere
 
 SPACING = 0.0025  # m, of points along the plan that show where contacts go
 ANOTHER = 0.1  # of its size, by how much a body differs that is another one
 LINE = 1e-6  # of the greatest relative curvature: less is a line, straight but for rounding
+POINTS, _ = icosphere(4)  # of a sphere, to look where a finger is
 # Of kinds of surfaces what is less where they give way by a depth.
 RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
 
@@ -186,7 +188,7 @@ def touches_of(scene: Scene) -> list[Touch]:
     plan, length = make_plan(scene), scene.path_length(scene.duration)
     times = np.linspace(0, scene.duration, min(max(100, math.ceil(length / SPACING)), 20_000))
     points, poses = plan.points(times), plan.pose(times)
-    _check_apart(scene, times, poses[..., :3, 3])
+    _check_apart(scene, times, poses)
     of_contacts, touches = relative_curvature(plan, times), []
     for i, contact in enumerate(scene.contacts):
         relative = of_contacts[:, i]
@@ -218,20 +220,28 @@ def _mean_curvature(surface: Surface, points: Array) -> float:
     return float(np.trace(forms, axis1=1, axis2=2).mean() / 2)
 
 
-def _check_apart(scene: Scene, times: Array, places: Array) -> None:
-    """Refuse fingers that would overlap, as they do not collide here; places (m, n, 3).
+def _check_apart(scene: Scene, times: Array, poses: Array) -> None:
+    """Refuse fingers that would overlap, as they do not collide here; poses (m, n, 4, 4).
 
-    A finger is taken as the ball about its origin that fits into it, a sphere as what it is; of
-    other surfaces that is not known.
+    A finger is taken as balls: a sphere as what it is, others as `POINTS` of their surface.
+    Cylinders have no ends, so that of them nothing is known.
     """
-    round_ones = (Sphere, Ellipsoid, Quadric)
-    radii = [least_radius(c.finger) * isinstance(c.finger, round_ones) for c in scene.contacts]
-    for i, j in itertools.combinations(range(len(radii)), 2):
-        apart = np.linalg.norm(places[:, i] - places[:, j], axis=1) - (radii[i] + radii[j])
-        k = int(np.argmin(apart))
-        if apart[k] < 0 and min(radii[i], radii[j]) > 0:
+    fingers, R, p = [c.finger for c in scene.contacts], poses[..., :3, :3], poses[..., :3, 3]
+    for i, j in itertools.permutations(range(len(fingers)), 2):
+        finger, other = fingers[i], fingers[j]
+        if isinstance(finger, Cylinder) or isinstance(other, Cylinder):
+            continue
+        centres, radius = np.zeros((1, 3)), finger.size
+        if not isinstance(finger, Sphere):
+            around, _ = RoundDomain(finger).place(POINTS)
+            centres, radius = finger.point(*finger.coordinates(around)), 0.0
+        x = (centres @ R[:, i].swapaxes(1, 2) + (p[:, i] - p[:, j])[:, None]) @ R[:, j]
+        foot, frame = other.point_and_frame(*other.coordinates(x))
+        apart = np.einsum("mki,mki->mk", x - foot, frame[..., 2]) - radius
+        overlap = (apart < 0).any(axis=1)
+        if overlap.any():
             raise SceneError(
-                f"{scene.contact_name(i)} and {scene.contact_name(j)} are planned to overlap by "
-                f"{-apart[k]:.3g} m at t = {times[k]:.3g} s; move one of them, shorten the scene "
-                "or make them smaller"
+                f"{scene.contact_name(i)} and {scene.contact_name(j)} are planned to overlap at "
+                f"t = {times[np.argmax(overlap)]:.3g} s; move one of them, shorten the scene or "
+                "make them smaller"
             )

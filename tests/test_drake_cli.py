@@ -158,13 +158,13 @@ def test_a_plan_that_slides_is_not_said_to_roll():
     assert "The paper reports: initial slip rejected within 0.04 s." in text
 
 
-def test_fingers_that_are_planned_to_overlap_are_refused_by_name():
+@pytest.mark.parametrize("finger", [cs.Sphere(0.04), cs.Torus(0.04, 0.02)])
+def test_fingers_that_are_planned_to_overlap_are_refused_by_name(finger):
     scene = cs.load_scene("D1")
     near = dataclasses.replace(scene.contacts[1], object_at=(0.3886, 3.6), name="its neighbour")
-    crowded = scene.replace(contacts=[scene.contacts[0], near])
-    words = "'D1', plant: finger 1 and its neighbour are planned to overlap by .* m at t = .*; move"
-    with pytest.raises(cs.SceneError, match=words):
-        simulate(crowded, duration=0.1)
+    both = [dataclasses.replace(contact, finger=finger) for contact in (scene.contacts[0], near)]
+    with pytest.raises(cs.SceneError, match="'D1', plant: finger 1 and its neighbour are .* at t"):
+        simulate(scene.replace(contacts=both), duration=0.1)
 
 
 def test_pushes_are_told_with_the_loop_closed_and_open(tmp_path, capsys):
