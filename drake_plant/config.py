@@ -108,13 +108,8 @@ class StationConfig:
     Drake's ``yaml_load_typed`` and ``yaml_dump_typed`` read and write it; a scene's ``[drake]``
     table and ``contact-system drake --set drake.KEY=VALUE`` have the same keys.
 
-    Contact itself is elastic: the damper between the bodies is the FingertipDriver's. Material
-    enters a fast rolling patch on one side and leaves on the other, so that a damping which is
-    strong for the bodies would destroy contact.
-
-    Of the driver's gains, explicit forces bear only so much: with a step of h at most 0.4 m/h is
-    used of what damps and 0.4 m/h^2 of what is a stiffness; of rotations with the least moment of
-    inertia instead of m.
+    With a step of h the driver uses at most 0.4 m/h of what damps and 0.4 m/h^2 of what is a
+    stiffness, and of rotations with the least moment of inertia instead of m.
 
     Attributes
     ----------
@@ -154,11 +149,9 @@ class StationConfig:
     position_gain, velocity_gain : float
         Of the driver, N/m and N s/m, in the tangent plane.
     normal_damping : float
-        N s/m, along the normal. The sap solver lifts a sliding contact by h mu |slip|; much damping
-        would turn changes of that into normal force (100 N s/m: 2.4 % in D1, 30: 0.8 %).
+        N s/m, along the normal; contact itself is elastic.
     rotation_gain, spin_gain : float
-        N m and N m s. With a rotation_gain of 0 the finger may roll on the radius that the
-        penetration leaves it, and no friction comes from that; spheres have no orientation to keep.
+        N m and N m s.
     slip_gain : float
         lam of the slip that is measured, 1/s; 0 leaves the loop open. At most 0.8/h is used, which
         takes away so much of the slip in a step.

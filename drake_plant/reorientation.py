@@ -144,11 +144,7 @@ def plan_reorientation(
 ) -> Reorientation:
     """Plan how a hand brings an object from the world's origin to a pose, rolling on it.
 
-    Every finger keeps its contact and rolls without slip: of a finger with four joints the curves
-    on both bodies follow from the object's path, but for one freedom, which keeps pads and joints
-    near their middles. If every finger has six or more, they roll to the same places on the object
-    along legs of :func:`contact_system.reach`, without spin. Forces balance weight and acceleration
-    in 80 % of the friction cones, with at least the scene's ``normal_force``.
+    Every finger keeps its contact and rolls without slip; docs/hands.md tells how that is planned.
 
     Parameters
     ----------
@@ -161,8 +157,6 @@ def plan_reorientation(
     path : PiecewisePose, optional
         X_WO, or what answers to its names; None: the shortest path, from rest to rest. Before and
         after it the object rests.
-        Forces follow its acceleration: where its velocity jumps, as that of rotations does at every
-        pose of a PiecewisePose, the object lags behind for a moment, and joints need large torques.
     config : StationConfig, optional
         None: what the table says.
 

@@ -30,8 +30,6 @@ def export_fmu(
 ) -> Path:
     """Write a scene as a Functional Mock-up Unit.
 
-    The same scene gives the same bytes but for the date, which ``$SOURCE_DATE_EPOCH`` fixes.
-
     Parameters
     ----------
     scene : Scene
@@ -46,11 +44,8 @@ def export_fmu(
     arrays : bool
         FMI 3: vectors and matrices instead of scalars with FMI 2's names.
     measured : "nothing", "states" or "pose"
-        Of what there are inputs: states, ``contact[1].measured.finger.u`` and so on as
-        `Plan.states` has them, or the finger's pose and twist relative to the object, of the
-        outputs' names. When ``contact[1].measured.trigger`` changes to another number than 0, the
-        contact goes on from there. A measurement that leads to no contact discards the step, and
-        is dropped; those of other contacts stand. Co-Simulation only.
+        What there are inputs of, from which a contact goes on: states as of `Plan.states`, or the
+        finger's pose and twist relative to the object. Co-Simulation only.
     progress : callable, optional
         Called with what is begun, once for each platform and for the file itself.
 
