@@ -126,8 +126,8 @@ def figure(file: Path) -> None:
             for what, found in runs.items()
         }
         panels[name][ours] = [max(error, 1e-16)], [spent / end]
-    named = "how far off the ball ends, in its radii", "processor time a simulated second [s]"
-    overview(panels, styles, file, *named, columns=5)
+    off = f"how far off the ball ends, in its radii ({truth_drake.VERSION}, {truth_mujoco.VERSION})"
+    overview(panels, styles, file, off, "processor time a simulated second [s]", columns=5)
 
 
 SECTIONS: Sections = {"exact": exact}
