@@ -35,6 +35,8 @@ from .scratch import PerThread, Scratch
 
 NEARBY = 10 * CLEARANCE
 """Where the distance from a chart's singularity is watched more closely."""
+AS_SCENE, AS_STATE, DISTURBED = 1.0, 2.0, 3.0
+"""Contacts follow the scene's plan, that from a state, or what is on the disturbance port."""
 RESTING = 1e-3
 """Of the greatest sigma, up to which a contact is at rest, or almost."""
 
@@ -151,8 +153,9 @@ class ContactPlanner(_Convertible, LeafSystem):
         m, 0 or more.
     tolerance : float
         In a simulation contact points may be so far off the exact plan, per metre of path and of
-        the greater body's size. No plan is known, and nothing compared, where the disturbance
-        port is connected, or a simulation begins at a rest or a pole other than the scene's start.
+        the greater body's size. No plan is known, and nothing compared, while the disturbance
+        port is not zero, or where a simulation begins at a rest or a pole other than the scene's
+        start; after a disturbance the plan is that from the state which it left.
 
     Raises
     ------
@@ -219,6 +222,14 @@ class ContactPlanner(_Convertible, LeafSystem):
         if not own.clearance[0] > NEARBY:
             if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
                 refuse_singularity(self.system, *own.given)
+        begun, port = self._begun(context), self._disturbance
+        if begun[0] and port is not None and port.HasValue(context):
+            if port.Eval(context).any():
+                begun[0] = DISTURBED
+                return
+            if begun[0] == DISTURBED:
+                own.began = own.look = t
+                self._Follow(context, self._Parts(context, "state")[0])
         if t < own.look:
             return
         own.look = t + min(t - own.began, self.system.scene.duration / LOOKS)
@@ -260,18 +271,16 @@ class ContactPlanner(_Convertible, LeafSystem):
     def _Follow(self, context: Any, state: Array | None) -> None:
         """Compare from now on with the plan from this state, or with that of the scene."""
         begun = self._begun(context)
-        begun[:2] = 1.0 if state is None else 2.0, context.get_time()
+        begun[:2] = AS_SCENE if state is None else AS_STATE, context.get_time()
         if state is not None:
             begun[2:] = state
 
     def _Exact(self, context: Any) -> Plan | None:
         """The plan from where contacts began, where it is known now."""
-        begun = self._begun(context)
-        t, port = context.get_time(), self._disturbance
-        # nobody has initialized this one, or knows what comes
-        if not begun[0] or (port is not None and port.HasValue(context)):
+        begun, t = self._begun(context), context.get_time()
+        if begun[0] not in (AS_SCENE, AS_STATE):  # nobody has initialized this one, or knows more
             return None
-        state = begun[2:].tobytes() if begun[0] == 2.0 else b""
+        state = begun[2:].tobytes() if begun[0] == AS_STATE else b""
         plan = self._exact(float(begun[1]), state, max(t, self.system.scene.duration))
         return plan if plan is not None and plan.start <= t <= plan.end else None
 

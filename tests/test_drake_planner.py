@@ -29,7 +29,7 @@ from pydrake.systems.analysis import (
     SimulatorConfig,
 )
 from pydrake.systems.framework import DiagramBuilder, InputPortSelection
-from pydrake.systems.primitives import Linearize
+from pydrake.systems.primitives import ConstantVectorSource, Linearize
 
 import contact_system as cs
 from drake_plant import BuildStation, ContactPlanner, MakeTrajectories, PlanSource
@@ -205,7 +205,8 @@ def test_cenic_which_does_not_control_a_planners_error_is_refused():
         plant, _ = AddMultibodyPlantSceneGraph(builder, 0.0)
         plant.AddRigidBody("body", SpatialInertia.SolidSphereWithMass(1.0, 0.1))
         plant.Finalize()
-        builder.AddSystem(ContactPlanner(scene))
+        port = builder.AddSystem(ContactPlanner(scene, disturbance_input=True)).get_input_port()
+        builder.Connect(builder.AddSystem(ConstantVectorSource([0] * 18)).get_output_port(), port)
         found = simulator(builder.Build(), "cenic", step, accuracy=1e-3)
         with pytest.raises(cs.SceneError, match=r"contact 0: .* off the exact plan.*\(not cenic"):
             found.AdvanceTo(0.5)
