@@ -18,23 +18,23 @@ static void interpret(const code_t *restrict k, lanes_t r) {
     EACH_LANE(i) to[i] = (value);                                                                  \
     break;                                                                                         \
   }
-#define CALL1(name, function)                                                                      \
+#define CALL(name, value)                                                                          \
+  case OP_##name:                                                                                  \
+    for (int i = 0; i < L; i++) to[i] = (value);                                                   \
+    break;
+#define LANES(name, function)                                                                      \
   case OP_##name:                                                                                  \
     lanes_##function(to, a);                                                                       \
-    break;
-#define CALL2(name, function)                                                                      \
-  case OP_##name:                                                                                  \
-    lanes_##function(to, a, b);                                                                    \
     break;
   for (; k->op != OP_END; k++) {
     double *to = r[k->to];
     const double *a = r[k->a], *b = r[k->b];
-    switch (k->op) { OPERATIONS(SIMPLE, CALL1, CALL2) }
+    switch (k->op) { OPERATIONS(SIMPLE, CALL, LANES) }
   }
 }
 #undef SIMPLE
-#undef CALL1
-#undef CALL2
+#undef CALL
+#undef LANES
 #undef A
 #undef B
 
@@ -66,25 +66,20 @@ INLINE void run_point(const program_t *program, double (*d)[L]) {
   case OP_##name:                                                                                  \
     r[k->to] = (value);                                                                            \
     break;
-#define CALL1(name, function)                                                                      \
+#define LANES(name, function)                                                                      \
   case OP_##name:                                                                                  \
     r[k->to] = one_##function(A);                                                                  \
-    break;
-#define CALL2(name, function)                                                                      \
-  case OP_##name:                                                                                  \
-    r[k->to] = one_##function(A, B);                                                               \
     break;
   for (const code_t *k = program->code; k->op != OP_END; k++) {
     if (d) {
       switch (k->op) { DERIVATIVES(PARTIALS) }
     }
-    switch (k->op) { OPERATIONS(SIMPLE, CALL1, CALL2) }
+    switch (k->op) { OPERATIONS(SIMPLE, SIMPLE, LANES) }
   }
 }
 #undef PARTIALS
 #undef SIMPLE
-#undef CALL1
-#undef CALL2
+#undef LANES
 #undef A
 #undef B
 

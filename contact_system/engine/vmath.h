@@ -116,10 +116,6 @@ static void lanes_cos(double *to, const double *a) {
   memcpy(to, c, sizeof c);
 }
 
-static void lanes_exp(double *to, const double *a) {
-  EACH_LANE(i) to[i] = v_exp(a[i]);
-}
-
 /* The same of one number */
 static inline double one_sin(double a) {
   double s, c;
@@ -134,33 +130,3 @@ static inline double one_cos(double a) {
   v_sincos(a, &s, &c);
   return c;
 }
-
-static inline double one_exp(double a) { return v_exp(a); }
-
-#define LANES_OF_ONE(f)                                                                            \
-  static inline double one_##f(double a) { return f(a); }                                          \
-  __attribute__((unused)) static void lanes_##f(double *to, const double *a) {                     \
-    for (int i = 0; i < L; i++) to[i] = f(a[i]);                                                   \
-  }
-#define LANES_OF_TWO(f)                                                                            \
-  static inline double one_##f(double a, double b) { return f(a, b); }                             \
-  __attribute__((unused)) static void lanes_##f(double *to, const double *a, const double *b) {    \
-    for (int i = 0; i < L; i++) to[i] = f(a[i], b[i]);                                             \
-  }
-LANES_OF_ONE(tan)
-LANES_OF_ONE(log)
-LANES_OF_ONE(asin)
-LANES_OF_ONE(acos)
-LANES_OF_ONE(atan)
-LANES_OF_ONE(sinh)
-LANES_OF_ONE(cosh)
-LANES_OF_ONE(tanh)
-LANES_OF_ONE(asinh)
-LANES_OF_ONE(acosh)
-LANES_OF_ONE(atanh)
-LANES_OF_ONE(log1p)
-LANES_OF_ONE(expm1)
-LANES_OF_ONE(floor)
-LANES_OF_ONE(ceil)
-LANES_OF_TWO(pow)
-LANES_OF_TWO(fmod)

@@ -39,16 +39,14 @@ class Operation(NamedTuple):
     name: str
     """As in CasADi's OP_..."""
     c: str
-    """C expression of the operands A and B, or the name of a C function."""
+    """C expression of the operands A and B; of kind "LANES" the name of a function of vmath.h."""
     partials: tuple[str, ...]
     """C expressions of the derivatives by each operand."""
     kind: str = "SIMPLE"
-    """"SIMPLE", "CALL1" or "CALL2"."""
+    """"SIMPLE"; "CALL" of the C library, which compilers do not vectorise; or "LANES"."""
 
 
 _CALLS = {
-    "SIN": "cos(A)",
-    "COS": "-sin(A)",
     "TAN": "1.0 / (cos(A) * cos(A))",
     "ASIN": "1.0 / sqrt(1.0 - A * A)",
     "ACOS": "-1.0 / sqrt(1.0 - A * A)",
@@ -59,7 +57,6 @@ _CALLS = {
     "ASINH": "1.0 / sqrt(A * A + 1.0)",
     "ACOSH": "1.0 / sqrt(A * A - 1.0)",
     "ATANH": "1.0 / (1.0 - A * A)",
-    "EXP": "exp(A)",
     "LOG": "1.0 / A",
     "LOG1P": "1.0 / (1.0 + A)",
     "EXPM1": "exp(A)",
@@ -67,6 +64,7 @@ _CALLS = {
     "CEIL": "0.0",
 }
 _STEPS = ("0.0", "0.0")
+_POWER = ("B == 0 ? 0.0 : B * pow(A, B - 1.0)", "pow(A, B) * log(A)")
 OPERATIONS = (
     Operation("ASSIGN", "A", ("1.0",)),
     Operation("ADD", "A + B", ("1.0", "1.0")),
@@ -90,9 +88,12 @@ OPERATIONS = (
     Operation("OR", "A != 0 || B != 0 ? 1.0 : 0.0", _STEPS),
     Operation("IF_ELSE_ZERO", "A != 0 ? B : 0.0", ("0.0", "A != 0 ? 1.0 : 0.0")),
     Operation("ATAN2", "v_atan2(A, B)", ("B / (A * A + B * B)", "-A / (A * A + B * B)")),
-    *(Operation(name, name.lower(), (slope,), "CALL1") for name, slope in _CALLS.items()),
-    Operation("POW", "pow", ("B == 0 ? 0.0 : B * pow(A, B - 1.0)", "pow(A, B) * log(A)"), "CALL2"),
-    Operation("FMOD", "fmod", ("1.0", "-trunc(A / B)"), "CALL2"),
+    Operation("EXP", "v_exp(A)", ("exp(A)",)),
+    Operation("SIN", "sin", ("cos(A)",), "LANES"),
+    Operation("COS", "cos", ("-sin(A)",), "LANES"),
+    *(Operation(name, f"{name.lower()}(A)", (slope,), "CALL") for name, slope in _CALLS.items()),
+    Operation("POW", "pow(A, B)", _POWER, "CALL"),
+    Operation("FMOD", "fmod(A, B)", ("1.0", "-trunc(A / B)"), "CALL"),
 )
 """In the order of their codes in tables, which begin at 1; 0 ends a program."""
 
