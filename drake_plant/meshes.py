@@ -43,7 +43,6 @@ from contact_system.surfaces import (
     Quadric,
     Surface,
 )
-from contact_system.surfaces.base import RAY
 
 Triangles = NDArray[np.int64]
 
@@ -161,7 +160,7 @@ def _gradient(surface: ImplicitSurface, points: Array) -> Array:
     """Gradient of the level function as it is written: its slopes along the axes, (n, 3)."""
     n = len(points)
     given = np.vstack([np.tile(points.T, 3), np.repeat(np.eye(3), n, axis=1)])
-    return run(surface.tables.other[RAY], given, surface.numbers)[1].reshape(3, n).T
+    return run(surface.tables.ray, given, surface.numbers)[1].reshape(3, n).T
 
 
 def icosphere(parts: int) -> tuple[Array, Triangles]:

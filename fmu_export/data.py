@@ -12,7 +12,7 @@ import numpy as np
 
 from contact_system import __version__
 from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, probes_of
-from contact_system.engine.binding import N_MOVED, SURFACES, TableData
+from contact_system.engine.binding import N_MOVED, SURFACES
 from contact_system.planning.motion import Buffer
 from contact_system.surfaces import Ellipsoid, Surface, Torus
 
@@ -89,7 +89,7 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
     orders += [(at + 1, at) for *_, at in windows]  # stop, start
     engine = Buffer(scene.replace(disturbances=()), TOLERANCE, 0.0, None)
     moved = [t for s in engine.surfaces for t in s.tables.ambient if t is not None]
-    registers = (TableData.from_address(t.address).n_regs for t in (*data.tables, *moved))
+    registers = (t.n_regs for t in (*data.tables, *moved))
     surfaces = [_surface(surface, data) for surface in engine.surfaces]
     head = [
         *(table.first["scale"], max(registers), data.texts(*(v.name for v in rows))),

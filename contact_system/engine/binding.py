@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-N_MOVED, N_OTHER = 7, 4
-GEODESIC = 3  # of the other tables
+N_MOVED = 7
+OTHER = ("geometry", "inverse", "geodesic")
+"""The tables that only Python asks for, in the order of engine.h."""
 
 
 class TableData(Structure):
@@ -28,6 +29,10 @@ class TableData(Structure):
         *((name, c_void_p) for name in ("prologue", "body", "literals")),
     ]
 
+    @property
+    def address(self) -> int:
+        return ctypes.addressof(self)
+
 
 class SurfaceData(Structure):
     """``surface_t``."""
@@ -38,7 +43,7 @@ class SurfaceData(Structure):
         *((name, c_double) for name in ("period_u", "period_v")),
         ("chart", c_void_p * N_MOVED),  # of ``moved``
         ("ambient", c_void_p * N_MOVED),
-        ("other", c_void_p * N_OTHER),
+        ("other", c_void_p * len(OTHER)),
     ]
 
 
@@ -147,7 +152,7 @@ def _library() -> ctypes.CDLL:
         ) from None
     library.contact_engine.restype = POINTER(Engine)
     library.contact_surface.restype = POINTER(SurfaceData)
-    library.contact_table.restype = c_void_p
+    library.contact_table.restype = POINTER(TableData)
     return library
 
 
@@ -168,37 +173,18 @@ LAYOUT = tuple((c_int32 * 6).in_dll(_LIBRARY, "contact_layout"))
 """Version of the scene's buffer; sizes of its header, a body, window, leg and contact."""
 
 
-class Builtin:
-    """A table of the library."""
-
-    def __init__(self, address: int):
-        self.address, self.n_out = address, TableData.from_address(address).n_out
-
-
 class Builtins:
-    """The tables of a bundled surface, with the attributes of `lowering.SurfaceTables`.
-
-    Attributes
-    ----------
-    data : SurfaceData
-    ambient, chart, other : tuples of Builtin or None
-    """
+    """The tables of a bundled surface, with the attributes of `lowering.SurfaceTables`."""
 
     def __init__(self, data: SurfaceData):
         self.data = data
 
-    @property
-    def geodesic(self) -> Builtin:
-        """A geodesic with its Jacobi fields."""
-        table = self.other[GEODESIC]
-        assert table is not None
-        return table
-
-    def __getattr__(self, group: str) -> tuple[Builtin | None, ...]:
-        addresses = getattr(self.data, group)
-        tables = tuple(None if at is None else Builtin(at) for at in addresses)
-        self.__dict__[group] = tables
-        return tables
+    def __getattr__(self, name: str) -> Any:
+        addresses = self.data.other if name in OTHER else getattr(self.data, name)
+        tables = tuple(None if at is None else TableData.from_address(at) for at in addresses)
+        found = tables[OTHER.index(name)] if name in OTHER else tables
+        self.__dict__[name] = found
+        return found
 
 
 def _surfaces() -> dict[str, Builtins]:
@@ -213,9 +199,9 @@ SURFACES = _surfaces()
 """The bundled surfaces by their ``table_name``."""
 
 
-def contact_table(index: int) -> Builtin:
+def contact_table(index: int) -> TableData:
     """One of the tables of contacts, by its index in engine.h."""
-    return Builtin(_LIBRARY.contact_table(index))
+    return _LIBRARY.contact_table(index).contents
 
 
 def address(array: np.ndarray) -> int:
@@ -243,7 +229,7 @@ def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:
 
     Parameters
     ----------
-    table : Builtin or lowering.Table
+    table : TableData or lowering.Table
     points : (n_in, n)
     constants : (n_const,) or (n_const, n)
 

@@ -31,7 +31,7 @@ enum { IN_CHART, IN_SPACE };
 enum { M_MOTION, M_COORDINATES, M_VECTOR, M_SHAPE, C_FRAME, C_POINT, C_LAME, N_MOVED };
 enum { A_SECOND = C_FRAME, A_RESTORE, A_START };
 /* the tables that only Python asks for */
-enum { GEOMETRY, INVERSE, RAY, GEODESIC, N_OTHER };
+enum { GEOMETRY, INVERSE, GEODESIC, N_OTHER };
 /* the tables of a contact, which no surface enters */
 enum { T_START, T_POSE, T_TWIST, T_TURNED, T_ACCELERATION, T_PUSHED, N_CONTACT_TABLES };
 
@@ -213,8 +213,9 @@ typedef struct {
   /* of a polynomial: see polynomial.h */
   int64_t (*sign_changes)(const double *c, int64_t n, int64_t order, double a, double b,
                           double *found);
-  /* distances t at which n rays, unit vectors [3][n], leave a body: see rays.c. level: RAY, whose
-     numbers are the sign of the side and then the rays' centre; size: how far to look first */
+  /* distances t at which n rays, unit vectors [3][n], leave a body: see rays.c. level: a table of
+     x, d -> the level function and its slope; numbers: the sign of the side, then the rays'
+     centre; size: how far to look first */
   int (*rays)(const table_t *level, const double *numbers, double size, int64_t n,
               const double *ray, double *t);
   /* u v u' v' theta in principal values to the branch of its chart on which a reference u v theta

@@ -31,7 +31,6 @@ from .charts import Chart, Frame, Pair, Periods
 # There is no contact frame where a diagonal entry of the metric root is below this fraction of the
 # surface's size. A pole given with 16 digits has 1e-16, a point 1e-9 rad away from it 1e-9.
 SINGULAR = 1e-12
-GEOMETRY, INVERSE, RAY = range(3)  # indices in the group ``other`` of the tables
 MAY_BE_SINGULAR = 1  # surface_t.flags: where the chart is singular is unknown
 LEAST_LENGTH = 1e-150  # m; the square of less underflows
 
@@ -104,7 +103,7 @@ class Surface:
 
     @kept
     def tables(self) -> Any:
-        """The tables of instructions of this structure, in groups ambient, chart and other."""
+        """The tables of instructions of this structure: see `lowering.SurfaceTables`."""
         return lowered(self) if self.table_name is None else SURFACES[self.table_name]
 
     @property
@@ -123,7 +122,7 @@ class Surface:
     @kept
     def _own_data(self) -> SurfaceData:
         made = SurfaceData(b"", *self.traits)
-        for group in ("ambient", "chart", "other"):
+        for group in ("ambient", "chart"):
             for k, table in enumerate(getattr(self.tables, group)):
                 getattr(made, group)[k] = table and table.address
         return made
@@ -275,7 +274,7 @@ class Surface:
             A wrong shape, or points that are not finite.
         """
         points = self._points(x)
-        uv = run(self.tables.other[INVERSE], points.reshape(-1, 3).T, self.numbers)
+        uv = run(self.tables.inverse, points.reshape(-1, 3).T, self.numbers)
         # atan2(-0.0, negative) is -pi, the half-open range ends at +pi.
         u, v = (
             np.where(w == -math.pi, math.pi, w) if period else w
@@ -372,7 +371,7 @@ class Surface:
         u, v = self._numbers(u, v)
         flat = u.ravel(), v.ravel()
         places = np.stack(flat) if self.has_chart else self.point(*flat).T
-        table = run(self.tables.other[GEOMETRY], places, self.numbers)
+        table = run(self.tables.geometry, places, self.numbers)
         results = []
         for name in names:  # one column for each point, first index fastest
             entries = table[ROWS[name]].reshape((*QUANTITIES[name], u.size), order="F")

@@ -19,7 +19,7 @@ from ..errors import ContactSystemError, SurfaceError
 from ..theory import symbols as ca
 from ..theory.geometry import ChartGeometry, contact_frame, tangent_geometry
 from ..theory.symbols import making_symbols
-from .base import RAY, Surface, positive_length, store
+from .base import Surface, positive_length, store
 from .charts import TURN, Chart, Frame, Pair, Periods, hypot
 from .formula import Formula, make_formula
 from .sphere import PolarChart
@@ -420,7 +420,7 @@ class ImplicitSurface(UserSurface):
         ray = np.stack([across * np.cos(turned), across * np.sin(turned), np.cos(u).ravel()])
         t = np.empty(ray.shape[1])
         given = address(self.numbers), self.size, len(t), address(ray), address(t)
-        if rays(self.tables.other[RAY].address, *given):
+        if rays(self.tables.ray.address, *given):
             raise MemoryError
         if not np.all((t > 0) & (t < math.inf)):
             self._refuse(u.ravel(), v.ravel(), t)
@@ -431,7 +431,7 @@ class ImplicitSurface(UserSurface):
         x = self.point(u, v)
         ray = x - self.center
         places = np.array([[*x, *ray], [*(x - 1e-4 * ray), *ray]]).T
-        slope, before = run(self.tables.other[RAY], places, self.numbers)[1]
+        slope, before = run(self.tables.ray, places, self.numbers)[1]
         return bool(abs(slope) < 1e-3 * abs(before))
 
     def _refuse(self, u: Array, v: Array, t: Array) -> NoReturn:
@@ -444,7 +444,7 @@ class ImplicitSurface(UserSurface):
         at = f"(u, v) = ({u[i]}, {v[i]})"
         if t[i] == 0:
             there = np.array([*self.center, 0.0, 0.0, 0.0])[:, None]
-            level = run(self.tables.other[RAY], there, self.numbers)[0, 0]
+            level = run(self.tables.ray, there, self.numbers)[0, 0]
             raise SurfaceError(
                 f"{self!r}: F = {level} at center = {self.center}; F must be negative there: "
                 "choose a center inside, or change the sign of F (and inside, if need be)"

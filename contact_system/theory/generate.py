@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial.chebyshev import chebint, chebvander
 
+from ..engine.binding import OTHER
 from ..surfaces import KINDS, Surface
 from ..writing import writing
 from .equations import contact_functions
@@ -83,9 +84,8 @@ class Writer:
 
         made = lowered(surface)
         moved = [[pointer(table, True) for table in group] for group in (made.chart, made.ambient)]
-        other = [pointer(table, False) for table in made.other[:-1]]
-        groups = [moved, [*other, pointer(made.geodesic, True)]]
-        return [f'"{surface.table_name}"', *surface.traits, *groups]
+        other = [pointer(getattr(made, name), name == "geodesic") for name in OTHER]
+        return [f'"{surface.table_name}"', *surface.traits, moved, other]
 
     def tables(self) -> str:
         """Return tables.inc; call it before `twin_functions`."""

@@ -342,7 +342,7 @@ def c_number(value: float) -> str:
 
 
 class SurfaceTables:
-    """The tables of the surfaces of one structure, in groups, each made at its first use."""
+    """The tables of the surfaces of one structure, each made at its first use."""
 
     def __init__(self, surface: Surface):
         self.surface = surface
@@ -370,16 +370,23 @@ class SurfaceTables:
         return Table(moving(self.surface, in_space(self.surface))("geodesic"))
 
     @kept
-    def other(self) -> tuple[Table | None, ...]:
-        """Geometry, inverse chart, and for surfaces without a chart the level along a ray."""
-        surface = self.surface
+    def geometry(self) -> Table:
+        """(u, v), or x on a surface without a chart -> `ChartGeometry.column`."""
+        return self._made(geometry_function)
+
+    @kept
+    def inverse(self) -> Table:
+        """x -> u, v, for surfaces with an implicit form."""
+        return self._made(inverse_function)
+
+    @kept
+    def ray(self) -> Table:
+        """x, d -> the level function and its slope along d, for surfaces without a chart."""
+        return self._made(ray_function)
+
+    def _made(self, function: Callable[[Surface], ca.Function]) -> Table:
         with making_symbols():
-            return (
-                Table(geometry_function(surface)),
-                Table(inverse_function(surface)) if surface.has_implicit else None,
-                None if surface.has_chart else Table(ray_function(surface)),
-                None,
-            )
+            return Table(function(self.surface))
 
 
 @per_structure
