@@ -116,7 +116,7 @@ _CALLS: dict[str, Any] = {
     "evaluate": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, POINTER(Failure)),
     "moments": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
     "facts": ctypes.CFUNCTYPE(c_int64, c_void_p, c_int64, c_int64, POINTER(Fact)),
-    "run": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, c_int32, c_void_p),
+    "run": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, c_void_p),
     # these take a microsecond
     "step": ctypes.PYFUNCTYPE(None, c_void_p),
     "along": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
@@ -231,7 +231,7 @@ def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:
     ----------
     table : TableData or lowering.Table
     points : (n_in, n)
-    constants : (n_const,) or (n_const, n)
+    constants : (n_const,)
 
     Returns
     -------
@@ -240,8 +240,7 @@ def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:
     points = np.ascontiguousarray(points, dtype=float)
     constants = np.ascontiguousarray(constants, dtype=float)
     out = np.empty((table.n_out, points.shape[1]))
-    given = points.shape[1], address(points), address(constants), constants.ndim == 2
-    if _run(table.address, *given, address(out)):
+    if _run(table.address, points.shape[1], address(points), address(constants), address(out)):
         raise MemoryError
     return out
 

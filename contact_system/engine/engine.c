@@ -138,17 +138,12 @@ static int64_t facts(const plan_t *plan, int64_t contact, int64_t room, fact_t *
 }
 
 static int run_table(const table_t *table, int64_t n, const double *in, const double *constants,
-                     int constants_vary, double *out) {
+                     double *out) {
   unit_t u = {0};
   if (n > 0 && !load(&u, table, constants)) return NO_MEMORY;
   for (int64_t i = 0; i < n; i += L) {
     const int count = (int)(n - i < L ? n - i : L);
     for (int j = 0; j < table->n_in; j++) gather(u.r[j], in + j * n + i, count);
-    if (constants_vary) { /* the prologue runs again for each block */
-      for (int j = 0; j < table->n_const; j++)
-        gather(u.r[table->n_in + j], constants + j * n + i, count);
-      interpret(table->prologue, u.r);
-    }
     lanes_t found = run(&u);
     for (int j = 0; j < table->n_out; j++)
       memcpy(out + j * n + i, found[j], (size_t)count * sizeof *out);

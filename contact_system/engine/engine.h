@@ -193,9 +193,9 @@ typedef struct {
                   failure_t *failure);
   int (*moments)(const plan_t *plan, double t, double *out, failure_t *failure);
   int64_t (*facts)(const plan_t *plan, int64_t contact, int64_t room, fact_t *out);
-  /* a table at n points, in[n_in][n] and out[n_out][n]; constants[n_const], or [n_const][n] */
+  /* a table at n points, in[n_in][n] and out[n_out][n]; constants[n_const] */
   int (*run)(const table_t *table, int64_t n, const double *in, const double *constants,
-             int constants_vary, double *out);
+             double *out);
   void (*step)(const program_t *program);
   /* the same, and what grows along with it: a derivative for each lane of tangents[register] */
   void (*along)(const program_t *program, double (*tangents)[L]);

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,7 +68,7 @@ class Aim:
         self.bodies = self.contact.finger, scene.object
         self.angles = self.contact.angle, goal.angle or 0.0
         curvatures = self._place(goal)
-        pose, own = _poses(self.angles, self.start, self.goal)
+        pose, own = map(_pose, self.angles, (self.start, self.goal))
         self.is_pose, self.pose = goal.pose is not None, None if goal.angle is None else own
         if goal.pose is not None:
             self.pose = np.array(goal.pose)
@@ -222,15 +221,14 @@ class Aim:
         return data
 
 
-def _poses(angles: Sequence[float], *contacts: list[tuple[Array, Array]]) -> Array:
-    """The finger's poses, (n, 4, 4), where it touches with points and frames of both bodies."""
-    psi = np.array(angles)
+def _pose(psi: float, both: list[tuple[Array, Array]]) -> Array:
+    """The finger's pose, (4, 4), where it touches with points and frames of both bodies."""
     c, s = np.cos(psi), np.sin(psi)
-    frames = [np.concatenate([(x, *frame.T[:2]) for x, frame in both]).ravel() for both in contacts]
-    found = binding.run(binding.contact_table(POSE), np.transpose(frames), (c, -s, -s, -c))
-    poses = np.tile(np.eye(4), (len(contacts), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = found[:9].T.reshape(-1, 3, 3), found[9:].T
-    return poses
+    frames = np.concatenate([(x, *frame.T[:2]) for x, frame in both]).reshape(-1, 1)
+    found = binding.run(binding.contact_table(POSE), frames, (c, -s, -s, -c))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = found[:9].reshape(3, 3), found[9:, 0]
+    return pose
 
 
 def _steerable(scene: Scene, index: int, name: str) -> Contact:
