@@ -211,7 +211,7 @@ static void raw_anchors(work_t *w, const track_t *k, int64_t n, const double *at
 /* Places of a track's anchors; returns how many */
 static int64_t anchor_places(work_t *w, const track_t *k, const double **out) {
   const int64_t parts = k->kind == CIRCLE ? CIRCLE_ANCHORS : PANEL_ANCHORS * k->panels.n;
-  double *at = keep(w, (size_t)parts + 1);
+  double *at = keep(w, parts + 1, sizeof *at);
   for (int64_t i = 0; i < parts; i++) {
     if (k->kind == CIRCLE) {
       at[i] = TURN * (double)i / CIRCLE_ANCHORS;
@@ -230,7 +230,7 @@ static void anchor_track(work_t *w, track_t *k, const double *begin) {
   const surface_t *s = k->body->surface;
   const double *at;
   const int64_t n = anchor_places(w, k, &at);
-  double (*to)[3] = keep(w, (size_t)(3 * n));
+  double (*to)[3] = keep(w, n, sizeof *to);
   double (*raw)[N_COORDINATES] = (void *)room_for(w, &w->raw, (size_t)n * (N_COORDINATES + 2));
   mark_t *marks = (mark_t *)(raw + n);
   raw_anchors(w, k, n, at, begin, raw);

@@ -49,11 +49,10 @@ static plan_t *make_plan(const double *scene, int64_t size, const surface_t *con
     return NULL;
   }
   plan_t *plan = w.plan;
-  plan->scene = keep(&w, (size_t)size);
+  plan->scene = keep(&w, size, sizeof *scene);
   memcpy(plan->scene, scene, (size_t)size * sizeof *scene);
   plan->surfaces = surfaces;
-  plan->contacts = keep_items(&w, (int64_t)scene[S_CONTACTS], sizeof(contact_t));
-  memset(plan->contacts, 0, (size_t)scene[S_CONTACTS] * sizeof(contact_t));
+  plan->contacts = keep(&w, (int64_t)scene[S_CONTACTS], sizeof(contact_t));
   for (; plan->n_contacts < (int64_t)scene[S_CONTACTS]; plan->n_contacts++) {
     w.begun = w.spent;
     plan_contact(&w, plan->n_contacts);

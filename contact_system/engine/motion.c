@@ -517,7 +517,8 @@ static panels_t integrate(work_t *w, motion_t *m, double tolerance) {
       break;
   }
   panels_t p = {.n = (int64_t)count, .rows = m->n};
-  p.edges = memcpy(keep(w, count + 1), w->edges.data, (count + 1) * sizeof(double));
-  p.series = memcpy(keep(w, count * size), w->series.data, count * size * sizeof(double));
+  double *edges = keep(w, p.n + 1, sizeof *edges), *series = keep(w, p.n, size * sizeof *series);
+  p.edges = memcpy(edges, w->edges.data, (count + 1) * sizeof *edges);
+  p.series = memcpy(series, w->series.data, count * size * sizeof *series);
   return p;
 }

@@ -16,8 +16,8 @@ static void shift(const double *c, int64_t n, double start, twofold_t *out) {
 static int64_t exponent_of(work_t *w, const twofold_t *sigma, int64_t n, double value,
                            int64_t power, const double **out) {
   const int64_t size = power * (n - 1) + 1;
-  double *found = keep(w, (size_t)size + 1);
-  twofold_t *rate = keep_items(w, 2 * size, sizeof *rate), *next = rate + size;
+  double *found = keep(w, size + 1, sizeof *found);
+  twofold_t *rate = keep(w, 2 * size, sizeof *rate), *next = rate + size;
   rate[0] = twofold(value);
   int64_t terms = 1;
   for (int64_t p = 0; p < power; p++, terms += n - 1) {
@@ -37,9 +37,9 @@ static const drive_t *drive_on(work_t *w, const double *leg, double start, doubl
   const double *scene = w->plan->scene, *c = scene + (int64_t)leg[G_PROFILE];
   const int64_t n = (int64_t)leg[G_PROFILE_SIZE], power = (int64_t)scene[S_GAIN_POWER];
   const double from = start - leg[G_START], to = stop - leg[G_START];
-  drive_t *d = keep_items(w, 1, sizeof *d);
-  twofold_t *shifted = keep_items(w, n, sizeof *shifted);
-  double *sigma = keep(w, (size_t)(2 * n + 1)), *length = sigma + n;
+  drive_t *d = keep(w, 1, sizeof *d);
+  twofold_t *shifted = keep(w, n, sizeof *shifted);
+  double *sigma = keep(w, 2 * n + 1, sizeof *sigma), *length = sigma + n;
   shift(c, n, from, shifted);
   for (int64_t i = 0; i < n; i++) sigma[i] = shifted[i].high + shifted[i].low;
   *d = (drive_t){.leg = leg, .start = start, .stop = stop, .sigma = sigma, .length = length};
@@ -55,7 +55,7 @@ static const drive_t *drive_on(work_t *w, const double *leg, double start, doubl
 
   const double span = stop - start, last = sigma_at(d, span);
   double least = fmin(sigma[0], last), greatest = fmax(sigma[0], last);
-  double *turns = keep(w, (size_t)(2 * n));
+  double *turns = keep(w, 2 * n, sizeof *turns);
   const int64_t n_turns = sign_changes(c, n, 1, from, to, turns);
   for (int64_t k = 0; k < n_turns; k++) {
     const double value = sigma_at(d, turns[k] - from);
@@ -84,7 +84,7 @@ static int64_t knots_of(work_t *w, const double *row, double **out) {
   int64_t room = 2 + 2 * n + n_legs, count = 0;
   for (int64_t k = 0; k < n_legs && cut; k++)
     room += 2 * (int64_t)legs[k * LEG_SIZE + G_PROFILE_SIZE];
-  double *knots = *out = keep(w, (size_t)room);
+  double *knots = *out = keep(w, room, sizeof *knots);
   knots[count++] = begin, knots[count++] = end;
   for (int64_t k = 0; k < n; k++)
     for (int j = 0; j < 2; j++) knots[count++] = windows[k * WINDOW_SIZE + W_START + j];
@@ -115,11 +115,10 @@ static void schedule(work_t *w, contact_t *c) {
   const double *last = leg + ((int64_t)row[K_LEGS_SIZE] - 1) * LEG_SIZE;
   double *edges;
   c->n_segments = knots_of(w, row, &edges) - 1;
-  c->segments = keep_items(w, c->n_segments, sizeof *c->segments);
+  c->segments = keep(w, c->n_segments, sizeof *c->segments);
   for (int64_t k = 0; k < c->n_segments; k++) {
     segment_t *s = c->segments + k;
     const double start = edges[k], stop = edges[k + 1];
-    memset(s, 0, sizeof *s);
     while (leg < last && leg[LEG_SIZE + G_START] <= start) leg += LEG_SIZE;
     s->drive = drive_on(w, leg, start, stop);
     /* the start's velocity is that of the leg it lies on */

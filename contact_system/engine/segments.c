@@ -30,7 +30,6 @@ static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, 
   const int64_t n = c->c->n_tracks[side]++;
   track_t *k = c->c->tracks[side] + n;
   c->c->track_edges[side][n] = d->start, c->c->track_edges[side][n + 1] = HUGE_VAL;
-  memset(k, 0, sizeof *k);
   k->body = &c->c->body[side], k->drive = d, k->stop = stop, k->reason = reason;
   k->ambient = moves_in_space(k->body->surface), k->push = k->offset = UNDISTURBED;
   memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
@@ -341,8 +340,8 @@ static void plan_contact(work_t *w, int64_t index) {
   refuse_endless(&c);
   for (int side = 0; side < 2; side++) {
     const int64_t most = (1 + side) * own->n_segments;
-    own->tracks[side] = keep_items(w, most, sizeof(track_t));
-    own->track_edges[side] = keep(w, (size_t)most + 1);
+    own->tracks[side] = keep(w, most, sizeof(track_t));
+    own->track_edges[side] = keep(w, most + 1, sizeof(double));
   }
   double until[2] = {plan->scene[S_BEGIN], plan->scene[S_BEGIN]};
   for (int64_t k = 0; k < own->n_segments; k++) plan_segment(&c, k, until);

@@ -135,24 +135,21 @@ static double *room_for(work_t *w, room_t *room, size_t n) {
   return room->data;
 }
 
-/* Room for n doubles in the plan */
-static void *keep(work_t *w, size_t n) {
+/* Items in the plan's memory, all zero */
+static void *keep(work_t *w, int64_t count, size_t size) {
+  const size_t n = ((size_t)count * size + sizeof(double) - 1) / sizeof(double);
   block_t *b = w->plan->memory;
   if (!b || b->used + n > b->size) {
     const size_t more = b ? 2 * b->size : 64, most = 1 << 16; /* twice as many each time */
-    const size_t whole = more < most ? more : most, size = n > whole ? n : whole;
-    b = malloc(sizeof *b + size * sizeof(double));
+    const size_t whole = more < most ? more : most, room = n > whole ? n : whole;
+    b = calloc(1, sizeof *b + room * sizeof(double));
     if (!b) fail(w, NO_MEMORY);
-    b->next = w->plan->memory, b->used = 0, b->size = size;
+    b->next = w->plan->memory, b->size = room;
     w->plan->memory = b;
   }
   void *found = b->data + b->used;
   b->used += n;
   return found;
-}
-
-static void *keep_items(work_t *w, int64_t n, size_t size) {
-  return keep(w, ((size_t)n * size + sizeof(double) - 1) / sizeof(double));
 }
 
 /* ---- polynomials ---- */
