@@ -127,6 +127,7 @@ _CALLS: dict[str, Any] = {
         c_int64, POINTER(c_double), c_int64, c_int64, c_double, c_double, POINTER(c_double)
     ),
     "rays": ctypes.CFUNCTYPE(c_int32, c_void_p, c_void_p, c_double, c_int64, c_void_p, c_void_p),
+    "wind": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p, c_void_p),
 }
 
 
@@ -162,7 +163,7 @@ ENGINE: Engine = _LIBRARY.contact_engine().contents
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
 moments, facts, _run = ENGINE.moments, ENGINE.facts, ENGINE.run
 step, along, geodesics = ENGINE.step, ENGINE.along, ENGINE.geodesics
-_sign_changes, rays, steer = ENGINE.sign_changes, ENGINE.rays, ENGINE.steer
+_sign_changes, rays, steer, wind = ENGINE.sign_changes, ENGINE.rays, ENGINE.steer, ENGINE.wind
 _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
 )

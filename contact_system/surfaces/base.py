@@ -11,6 +11,7 @@ SI units, radians.
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, fields
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import Array, finite_number, of_kind, real_array, shaped_array
-from ..engine.binding import SURFACES, SurfaceData, run
+from ..engine.binding import SURFACES, SurfaceData, address, run, wind
 from ..errors import ChartSingularity, SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
@@ -310,14 +311,10 @@ class Surface:
 
         Return also whether both frame axes there are turned by pi from those at (u, v).
         """
-        reference, periods = (u_ref, v_ref), self.periods()
-        here, there = (
-            [*map(_nearest, place, reference, periods)] for place in ((u, v), (-u, math.pi - v))
-        )
-        nearer = math.dist(there, reference) < math.dist(here, reference)
-        half_turn = nearer and self.chart.double_cover
-        u, v = there if half_turn else here
-        return u, v, half_turn
+        place, reference = np.array([u, v, 1.0, 0.0, 0.0]), np.array([u_ref, v_ref, 0.0])
+        wind(ctypes.addressof(self.engine_data), address(reference), address(place))
+        u, v, rate, *_ = place.tolist()
+        return u, v, rate < 0
 
     def _wrap(self, u: Any, v: Any) -> tuple[Any, Any]:
         return self.chart.wrap(u, v)
@@ -380,12 +377,6 @@ class Surface:
 
 
 # --- helpers --------------------------------------------------------------------------------------
-
-
-def _nearest(angle: float, reference: float, period: float | None) -> float:
-    if period is None:
-        return angle
-    return angle + period * float(np.round((reference - angle) / period))
 
 
 def store(surface: Surface, **values: Any) -> None:
