@@ -20,6 +20,7 @@ from ..engine import binding
 from ..engine.binding import LAYOUT, address
 from ..scene import Disturbance, Leg, Scene, Stretch, refuse_rest
 from ..surfaces import Surface
+from ..theory.development import in_space
 from ..theory.gain import LAWS
 from .explanation import OUTSIDE, SINGULAR_TIME, failed, lines
 from .starts import Moment, Starts
@@ -155,18 +156,17 @@ def _solved_frames(scene: Scene, begins: Sequence[Any]) -> dict[int, list[Number
 
     All points of one surface are solved for at once.
     """
-    places: dict[int, list[tuple[int, int]]] = {}
-    surfaces = {id(surface): surface for surface in scene.surfaces}
-    if isinstance(begins[0], Moment) or all(s.has_chart for s in surfaces.values()):
-        return {}
+    places: dict[Surface, list[tuple[int, int]]] = {}
+    frames: dict[int, list[Numbers]] = {}
+    if isinstance(begins[0], Moment):
+        return frames
     for i, contact in enumerate(scene.contacts):
         for side, surface in enumerate((contact.finger, scene.object)):
             if not surface.has_chart:
-                places.setdefault(id(surface), []).append((i, side))
-    frames: dict[int, list[Numbers]] = {}
-    for key, where in places.items():
+                places.setdefault(surface, []).append((i, side))
+    for surface, where in places.items():
         uv = np.array([(begins[i].finger_at, begins[i].object_at)[side] for i, side in where])
-        point, frame = surfaces[key].point_and_frame(*uv.T)
+        point, frame = surface.point_and_frame(*uv.T)
         for (i, side), found in zip(where, np.hstack([point, frame[..., 0]]).tolist()):
             frames.setdefault(i, [(), ()])[side] = tuple(found)
     return frames
@@ -203,7 +203,6 @@ class Motion:
         self._surfaces = buffer.surfaces  # kept: the engine points into their tables
         addresses = [ctypes.addressof(surface.engine_data) for surface in self._surfaces]
         self._addresses = (ctypes.c_void_p * len(addresses))(*addresses)
-        self._anchored = False
         failure, size = binding.Failure(), len(buffer.numbers) // 8
         plan = binding.plan(buffer.numbers, size, ctypes.addressof(self._addresses), byref(failure))
         self._as_parameter_ = plan
@@ -219,7 +218,7 @@ class Motion:
 
         gaps: whether those of contacts at a pole or an umbilic are not finite, and no error.
         """
-        if not self._anchored and not IN_CONTACT_FRAMES.isdisjoint(names):
+        if not IN_CONTACT_FRAMES.isdisjoint(names):
             self._anchor()
         t = np.ascontiguousarray(t)
         count, n = self._count, len(t)
@@ -244,7 +243,6 @@ class Motion:
         failure = binding.Failure()
         if binding.anchor(self, byref(failure)):
             raise failed(self.scene, failure)
-        self._anchored = True
 
     def moments(self, t: float) -> list[Moment]:
         """Every contact as it is at time t."""
@@ -258,7 +256,7 @@ class Motion:
     def _moment(self, contact: int, row: list[float]) -> Moment:
         bodies = self.scene.contacts[contact].finger, self.scene.object
         frames = [
-            tuple(row[first : first + 6]) if surface.tables.ambient[0] is not None else ()
+            tuple(row[first : first + 6]) if in_space(surface) else ()
             for surface, first in zip(bodies, (11, 17))
         ]
         places = tuple(row[:3]), tuple(row[3:6])
