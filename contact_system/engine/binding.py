@@ -39,7 +39,7 @@ class SurfaceData(Structure):
 
     _fields_ = [
         ("name", c_char_p),
-        *((name, c_int32) for name in ("n_numbers", "double_cover", "closed", "flags")),
+        *((name, c_int32) for name in ("n_numbers", "double_cover", "closed", "may_be_singular")),
         *((name, c_double) for name in ("period_u", "period_v")),
         ("chart", c_void_p * N_MOVED),  # of ``moved``
         ("ambient", c_void_p * N_MOVED),

@@ -36,11 +36,11 @@ enum { GEOMETRY, INVERSE, GEODESIC, N_OTHER };
 enum { T_START, T_POSE, T_TWIST, T_TURNED, T_ACCELERATION, T_PUSHED, N_CONTACT_TABLES };
 
 enum { NO_CLOSED_FORM, GREAT_CIRCLES, DEVELOPABLE };
-enum { MAY_BE_SINGULAR = 1 }; /* flags: nobody knows where the chart is regular */
 
 typedef struct {
   const char *name;
-  int32_t n_numbers, double_cover, closed, flags;
+  int32_t n_numbers, double_cover, closed;
+  int32_t may_be_singular;   /* nobody knows where the chart is regular */
   double period_u, period_v; /* 0: none */
   const table_t *moved[2][N_MOVED], *other[N_OTHER];
 } surface_t;

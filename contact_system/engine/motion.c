@@ -182,7 +182,7 @@ static void scales(work_t *w, int ambient, const body_t *b, const double *state,
   }
   double lame[3];
   run_one(w, b->surface->moved[IN_CHART][C_LAME], b->numbers, state, lame);
-  const double beside = b->surface->flags & MAY_BE_SINGULAR ? fmax(lame[0], lame[1]) : b->size;
+  const double beside = b->surface->may_be_singular ? fmax(lame[0], lame[1]) : b->size;
   for (int j = 0; j < 2; j++) scale[j] = fmax(lame[j], 1e-2 * fmin(beside, b->size)) / b->size;
   scale[2] = 1.0;
 }
@@ -356,7 +356,7 @@ static int may_jump(const motion_t *m) {
   const track_t *k = m->track;
   if (!k->body) return 0;
   if (m->finger && m->finger->ambient && any(m->finger->push)) return 1;
-  return k->ambient ? any(k->offset) || any(k->push) : k->body->surface->flags & MAY_BE_SINGULAR;
+  return k->ambient ? any(k->offset) || any(k->push) : k->body->surface->may_be_singular;
 }
 
 /* Whether a panel's series fall like 1/k^2 or 1/k^3: rates, or their slopes, jump between nodes */

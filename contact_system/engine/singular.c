@@ -44,6 +44,6 @@ static void look_at_part(work_t *w, const track_t *k, int64_t panel, double low,
 
 static void require_regular(work_t *w, const track_t *k) {
   double before[3] = {0.0};
-  if (k->ambient || !(k->body->surface->flags & MAY_BE_SINGULAR)) return;
+  if (k->ambient || !k->body->surface->may_be_singular) return;
   for (int64_t p = 0; p < k->panels.n; p++) look_at_part(w, k, p, -1.0, 1.0, before);
 }

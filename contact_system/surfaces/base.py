@@ -32,7 +32,6 @@ from .charts import Chart, Frame, Pair, Periods
 # There is no contact frame where a diagonal entry of the metric root is below this fraction of the
 # surface's size. A pole given with 16 digits has 1e-16, a point 1e-9 rad away from it 1e-9.
 SINGULAR = 1e-12
-MAY_BE_SINGULAR = 1  # surface_t.flags: where the chart is singular is unknown
 LEAST_LENGTH = 1e-150  # m; the square of less underflows
 
 
@@ -110,9 +109,9 @@ class Surface:
     @property
     def traits(self) -> list[float]:
         """The fields of the engine's ``surface_t`` between its name and its tables."""
-        chart, flags = self.chart, 0 if self.has_implicit else MAY_BE_SINGULAR
+        chart = self.chart
         closed = 1 if chart.great_circles else 2 if chart.developable else 0
-        sizes = len(self.numbers), int(chart.double_cover), closed, flags
+        sizes = len(self.numbers), int(chart.double_cover), closed, int(not self.has_implicit)
         return [*sizes, *(period or 0.0 for period in self.periods())]
 
     @property

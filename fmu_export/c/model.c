@@ -84,7 +84,7 @@ static void read_surfaces(model_t *m) {
                        .n_numbers = (int32_t)row->n_numbers,
                        .double_cover = (int32_t)row->double_cover,
                        .closed = (int32_t)row->closed,
-                       .flags = (int32_t)row->flags,
+                       .may_be_singular = (int32_t)row->may_be_singular,
                        .period_u = row->period_u,
                        .period_v = row->period_v};
     for (int k = 0; k < 2 * N_MOVED; k++) {

@@ -92,7 +92,7 @@ typedef struct {
 
 /* a surface: which of the engine's, or -1; what it is; its own tables, -1: none */
 typedef struct {
-  int64_t builtin, n_numbers, double_cover, closed, flags;
+  int64_t builtin, n_numbers, double_cover, closed, may_be_singular;
   double period_u, period_v;
   int64_t tables[2 * N_MOVED];
 } shape_t;
