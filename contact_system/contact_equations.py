@@ -126,7 +126,7 @@ def _chart_motion(
 ) -> ContactMotion:
     """Motion in chart coordinates, where theta = 0; slope: sigma'."""
     q1, rate_1, q2, rate_2, psi = ca.vertsplit(x, [0, 2, 4, 6, 8, 9])
-    shapes = [b.surface.geometry_expr(b.numbers, q[0], q[1]) for b, q in ((tip, q1), (body, q2))]
+    shapes = [b.surface.geometry_expr(b.numbers, q) for b, q in ((tip, q1), (body, q2))]
     tip, body, moved = tip.at(q1, 0), body.at(q2, 0), rate_2 + w[4:6]
     velocities = tip.call("vector", rate_1), body.call("vector", moved)
     turn = reflection(ca.cos(psi), ca.sin(psi))

@@ -235,7 +235,7 @@ class _Side:
         self.in_space, self.flat = surface.has_implicit, is_plane(surface)
         self.unknowns = z = ca.SX.sym("z", 3 if self.in_space else 2)
         if not self.in_space:
-            at = surface.geometry_expr(numbers, z[0], z[1])
+            at = surface.geometry_expr(numbers, z)
             self.x, self.tangents, self.normal = at.point, at.frame[:, :2], at.frame[:, 2]
             self.metric_root, self.curvature = at.metric_root, at.curvature_form
             self.coordinates, self.missed = z, ca.SX(0)

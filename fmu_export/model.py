@@ -97,10 +97,10 @@ def measured(finger: Surface, obj: Surface, what: str) -> Table:
     if what == "states":
         point = ca.SX.sym("states", 9)
         constants, roots = list[ca.SX](), list[ca.SX]()
-        for s, (u, v) in zip((finger, obj), (ca.vertsplit(point[k : k + 2]) for k in (0, 4))):
+        for s, uv in ((finger, point[0:2]), (obj, point[4:6])):
             numbers = number_symbols(s)
             constants += [numbers, ca.SX.sym("size")]
-            roots.append(ca.vec(s.geometry_expr(numbers, u, v).metric_root))
+            roots.append(ca.vec(s.geometry_expr(numbers, uv).metric_root))
         given, result = ca.vertcat(*constants), ca.vertcat(0, 1, point, *roots)
     else:
         seen, given, *results = measured_contact(finger, obj)

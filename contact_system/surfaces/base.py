@@ -193,14 +193,10 @@ class Surface:
         m = ca.vertcat(ca.horzcat(m[0, 0], side * m[0, 1]), m[1, :])
         return axes @ x_axis, side * (axes @ y_axis), m
 
-    def geometry_expr(self, numbers: ca.SX, u: ca.SX, v: ca.SX) -> ChartGeometry:
-        """Return every metric quantity at (u, v), symbols; see `ChartGeometry`."""
-        return chart_geometry(self.chart_expr(numbers, u, v), u, v, self.chart.orthogonal)
-
-    def geometry_symbols(self, numbers: ca.SX) -> tuple[ca.SX, ChartGeometry]:
-        """Return symbols of a place, (u, v) or x, and the geometry there."""
-        place = ca.SX.sym("place", 2)
-        return place, self.geometry_expr(numbers, place[0], place[1])
+    def geometry_expr(self, numbers: ca.SX, place: ca.SX) -> ChartGeometry:
+        """Return every metric quantity at symbols of (u, v), or of x without a chart."""
+        chart = self.chart_expr(numbers, place[0], place[1])
+        return chart_geometry(chart, place, self.chart.orthogonal)
 
     def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return the level function, its gradient and Hessian, in symbols of `parameters` and x.

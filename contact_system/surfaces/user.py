@@ -396,12 +396,11 @@ class ImplicitSurface(UserSurface):
         scale = 1 / ca.norm_inf(gradient)
         return scale * level, scale * gradient, scale * hessian
 
-    def geometry_symbols(self, numbers: ca.SX) -> tuple[ca.SX, ChartGeometry]:
-        x = ca.SX.sym("x", 3)
-        f_u, f_v = self._tangents(numbers, x)
-        along_u = ca.jacobian(f_u, x)
-        second = along_u @ f_u, along_u @ f_v, ca.jacobian(f_v, x) @ f_v
-        return x, tangent_geometry(x, f_u, f_v, second)
+    def geometry_expr(self, numbers: ca.SX, place: ca.SX) -> ChartGeometry:
+        f_u, f_v = self._tangents(numbers, place)
+        along_u = ca.jacobian(f_u, place)
+        second = along_u @ f_u, along_u @ f_v, ca.jacobian(f_v, place) @ f_v
+        return tangent_geometry(place, f_u, f_v, second)
 
     def point(self, u: ArrayLike, v: ArrayLike) -> Array:
         """Return the point where the ray (u, v) leaves the body, shape (..., 3), m.

@@ -174,7 +174,7 @@ class InChart(Moving):
         super().__init__(surface)
         u, v, self.theta = ca.vertsplit(self.state)
         self.place, self.turn = (u, v), rotation(self.theta)
-        self.geometry = surface.geometry_expr(self.numbers, u, v)
+        self.geometry = surface.geometry_expr(self.numbers, self.state[:2])
         self.metric_root = self.geometry.metric_root
 
     def motion(self, c: ca.SX) -> ca.SX:

@@ -85,11 +85,11 @@ def contact_frame(f_u: ca.SX, f_v: ca.SX, orthogonal: bool = False) -> tuple[ca.
     return x, across / h_across, metric_root
 
 
-def chart_geometry(f: ca.SX, u: ca.SX, v: ca.SX, orthogonal: bool = False) -> ChartGeometry:
-    """Return every metric quantity of the chart ``f(u, v)``, (3, 1), m, of symbols u and v."""
-    f_u, f_v = ca.horzsplit(ca.jacobian(f, ca.vertcat(u, v)))
-    f_uu, f_uv = ca.horzsplit(ca.jacobian(f_u, ca.vertcat(u, v)))
-    return tangent_geometry(f, f_u, f_v, (f_uu, f_uv, ca.jacobian(f_v, v)), orthogonal)
+def chart_geometry(f: ca.SX, uv: ca.SX, orthogonal: bool = False) -> ChartGeometry:
+    """Return every metric quantity of the chart ``f(u, v)``, (3, 1), m, of symbols (u, v)."""
+    f_u, f_v = ca.horzsplit(ca.jacobian(f, uv))
+    f_uu, f_uv = ca.horzsplit(ca.jacobian(f_u, uv))
+    return tangent_geometry(f, f_u, f_v, (f_uu, f_uv, ca.jacobian(f_v, uv[1])), orthogonal)
 
 
 def tangent_geometry(
@@ -150,8 +150,8 @@ def upper_inverse(m: ca.SX) -> ca.SX:
 
 def geometry_function(surface: Surface) -> ca.Function:
     """(u, v), or x on an implicit surface -> :meth:`ChartGeometry.column`."""
-    numbers = number_symbols(surface)
-    place, shape = surface.geometry_symbols(numbers)
+    numbers, place = number_symbols(surface), ca.SX.sym("place", 2 if surface.has_chart else 3)
+    shape = surface.geometry_expr(numbers, place)
     return numbers_function("geometry", place, numbers, shape.column())
 
 
