@@ -31,7 +31,7 @@ class _Data:
     def __init__(self) -> None:
         self.parts: list[bytes] = []
         self.size = HEADER
-        self.tables: dict[Any, int] = {}
+        self.tables: list[Any] = []
 
     def put(self, data: bytes) -> int:
         """Add bytes, filled up to whole numbers; returns their place."""
@@ -55,12 +55,14 @@ class _Data:
 
     def table(self, t: Any) -> int:
         """The number of a table of instructions; -1 of none."""
-        return -1 if t is None else self.tables.setdefault(t, len(self.tables))
+        if t is not None and t not in self.tables:
+            self.tables.append(t)
+        return -1 if t is None else self.tables.index(t)
 
     def instructions(self, t: Any) -> list[int]:
         """Add a table's instructions; returns its row."""
-        code = (self.put(words.astype("<u2").tobytes()) for words in (t.prologue, t.body))
-        return [*t.sizes, *code, self.doubles(t.literals)]
+        code = (self.put(words.astype("<u2").tobytes()) for words in t.words)
+        return [*t.sizes, *code, self.doubles(t.numbers)]
 
 
 def scene_data(table: Table, *described: str) -> tuple[bytes, str]:

@@ -225,12 +225,12 @@ def sign_changes(
     return times[: _sign_changes((c_double * n)(*coefficients), n, order, start, stop, times)]
 
 
-def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:
+def run(table: TableData, points: np.ndarray, constants: Any) -> np.ndarray:
     """Evaluate a table at many points.
 
     Parameters
     ----------
-    table : TableData or lowering.Table
+    table : TableData
     points : (n_in, n)
     constants : (n_const,)
 
@@ -274,10 +274,8 @@ class Machine:
     ):
         r = np.zeros(table.n_regs) if registers is None else registers
         r[table.n_in : table.first_lit] = constants
-        r[table.first_lit :][: len(table.literals)] = table.literals
-        code, prologue = (
-            Program(words.ctypes.data, r.ctypes.data) for words in (table.body, table.prologue)
-        )
+        r[table.first_lit :][: table.n_lit] = table.numbers
+        code, prologue = (Program(at, r.ctypes.data) for at in (table.body, table.prologue))
         step(ctypes.addressof(prologue))
         # making the address beforehand saves half of the time of a call
         self.run = functools.partial(step, c_void_p(ctypes.addressof(code)))

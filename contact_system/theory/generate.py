@@ -67,12 +67,11 @@ class Writer:
 
     def table(self, table: Table, hot: bool) -> list[Any]:
         """Return the fields of a table_t; a hot one has a twin if it is simple enough."""
-        prologue = self._named("code_t {}[]", "code", table.prologue.tolist())
-        body = self._named("code_t {}[]", "code", table.body.tolist())
-        literals, text = table.literals.tolist(), table.twin() if hot else None
+        code = [self._named("code_t {}[]", "code", words.tolist()) for words in table.words]
+        literals, text = table.numbers.tolist(), table.c_text() if hot else None
         named = self._named("double {}[]", "literals", literals) if literals else None
         twin = -1 if text is None else self.twins.setdefault(text, len(self.twins))
-        return [*table.sizes, twin, prologue, body, named]
+        return [*table.sizes, twin, *code, named]
 
     def surface(self, surface: Surface) -> list[Any]:
         """Return the fields of a surface_t."""

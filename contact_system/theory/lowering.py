@@ -12,7 +12,6 @@ becomes a multiplication by the inverse, which is much faster.
 from __future__ import annotations
 
 import copy
-import ctypes
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -234,18 +233,15 @@ class _Values:
         return sorted(needed)
 
 
-class Table:
-    """A program of instructions, `prologue` and `body`, made from (point, constants) -> result.
+class Table(TableData):
+    """A program of instructions, made from (point, constants) -> result.
 
     Attributes
     ----------
-    n_in, n_const, n_out, n_regs : int
-        Sizes of point, constants and results; number of registers.
-    first_lit, first_out : int
-        First registers of the literals and of the results.
-    literals : (n_lit,) float64
-    prologue, body : (n, 4) uint16
-        Rows of op, to, a, b; the last is all 0.
+    words : two (n, 4) uint16
+        Those of prologue and body: rows of op, to, a, b; the last is all 0.
+    numbers : (n_lit,) float64
+        The literals.
     """
 
     def __init__(self, function: ca.Function):
@@ -253,14 +249,13 @@ class Table:
         with making_symbols():
             values = _Values(function)
         rows, live = values.rows, values.live()
-        self.n_in, self.n_const = len(values.inputs), len(values.constants)
-        self.n_out = len(values.results)
+        super().__init__(len(values.inputs), len(values.constants), len(values.results), twin=-1)
         place = {k: k for k in (*values.inputs, *values.constants)}
         literals = [k for k in live if rows[k][0] == "LITERAL"]
         steps = [k for k in live if rows[k][0] not in LEAVES]
         kept = [*literals, *(k for k in steps if values.uniform[k])]
-        self.first_lit = self.n_in + self.n_const
-        self.literals = np.array([rows[k][1] for k in literals])
+        self.n_lit, self.first_lit = len(literals), self.n_in + self.n_const
+        self.numbers = np.array([rows[k][1] for k in literals])
         self.first_out = self.first_lit + len(kept)
         place.update((k, self.first_lit + i) for i, k in enumerate(kept))
         copies = list[Step]()
@@ -281,41 +276,32 @@ class Table:
                 place[k] = free.pop() if free else self.n_regs
                 self.n_regs = max(self.n_regs, place[k] + 1)
             (prologue if values.uniform[k] else body).append((name, place[k], registers))
-        self.prologue, self.body = _words(prologue), _words(body + copies)
+        self.words = _words(prologue), _words(body + copies)
+        arrays = *self.words, self.numbers
+        self.prologue, self.body, self.literals = (array.ctypes.data for array in arrays)
 
     @property
-    def sizes(self) -> tuple[int, ...]:
-        """The first fields of the engine's ``table_t``."""
-        counts = self.n_in, self.n_const, self.n_out, len(self.literals)
-        return *counts, self.first_lit, self.first_out, self.n_regs
+    def sizes(self) -> list[int]:
+        """The fields before `twin`."""
+        return [getattr(self, field[0]) for field in TableData._fields_[:7]]
 
-    @kept
-    def data(self) -> TableData:
-        """The engine's ``table_t``, which points into this table's arrays."""
-        arrays = self.prologue, self.body, self.literals
-        return TableData(*self.sizes, -1, *(array.ctypes.data for array in arrays))
-
-    @property
-    def address(self) -> int:
-        return ctypes.addressof(self.data)
-
-    def twin(self) -> str | None:
+    def c_text(self) -> str | None:
         """C text that does the same to registers r as the body; None if it calls functions.
 
         It is a loop over the lanes that keeps values in the processor's registers. The operations
         are those of the table, so that both give the same bits.
         """
-        literals = range(self.first_lit, self.first_lit + len(self.literals))
+        literals = range(self.first_lit, self.first_lit + self.n_lit)
         results = range(self.first_out, self.first_out + self.n_out)
         held: dict[int, str] = {}
 
         def operand(register: int) -> str:
             if register in literals:
-                return c_number(self.literals[register - self.first_lit])
+                return c_number(self.numbers[register - self.first_lit])
             return held.get(register, f"r[{register}][i]")
 
         lines = list[str]()
-        for op, to, *registers in self.body[:-1].tolist():
+        for op, to, *registers in self.words[1][:-1].tolist():
             row = OPERATIONS[op - 1]
             if row.kind != "SIMPLE":
                 return None
