@@ -122,7 +122,7 @@ class Buffer:
             if own:
                 index = self._put([x for d in own for x in (d.slot, d.start, d.stop, *d.value)])
             if contact.legs not in legs:
-                legs[contact.legs] = self._legs(contact.way(scene.profile, scene.duration))
+                legs[contact.legs] = self._legs(scene.way(i))
             finger_at, object_at, angle, w1, second, *known = start if starts else contact.start()
             theta = () if known else (0.0,)
             one, other = known or frames.get(i, ((), ()))

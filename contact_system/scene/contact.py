@@ -13,7 +13,7 @@ from ..checks import did_you_mean, finite_number, finite_numbers, is_plain, of_k
 from ..errors import SceneError
 from ..surfaces import Surface
 from ..theory.profile import Numbers, Profile
-from .legs import Leg, Stretch, stretches
+from .legs import Leg
 
 Pair = tuple[float, float]
 
@@ -154,12 +154,6 @@ class Contact:
         elif w2 == REST:
             w2 = (0.0, 0.0)
         return Start(self.finger_at, self.object_at, self.angle, w1, w2)  # type: ignore[arg-type]
-
-    def way(self, profile: Profile, duration: float) -> tuple[Stretch, ...]:
-        """The legs on a horizon [s]; without legs, one stretch with the scene's profile."""
-        if self.legs:
-            return stretches(self.legs, duration)
-        return (Stretch(0.0, duration, profile),)
 
     @property
     def follows(self) -> bool:

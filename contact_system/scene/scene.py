@@ -24,7 +24,7 @@ from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
 from .contact import Contact, Turning, a_text, all_of
 from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
-from .legs import STILL, Stretch, check_legs, length, speed
+from .legs import STILL, Stretch, check_legs, length, speed, stretches
 
 KINDS = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
 NO_CLAIMS: Mapping[str, Any] = {"paper": {}, "chosen": ()}
@@ -165,7 +165,9 @@ class Scene:
 
     def way(self, contact: int) -> tuple[Stretch, ...]:
         """The legs of a contact; without legs, one stretch with the scene's profile."""
-        return self.contacts[contact].way(self.profile, self.duration)
+        if legs := self.contacts[contact].legs:
+            return stretches(legs, self.duration)
+        return (Stretch(0.0, self.duration, self.profile),)
 
     def speeds(self, t) -> np.ndarray:
         """sigma of every contact at times t [s]: t.shape + (n_contacts,), m/s."""
