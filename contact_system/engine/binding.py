@@ -170,8 +170,8 @@ _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
 drop = _method(ENGINE.drop)
 """The ``__del__`` of objects with a plan's address as ``_as_parameter_``. Python code there would
 lose Ctrl-C."""
-LAYOUT = tuple((c_int32 * 6).in_dll(_LIBRARY, "contact_layout"))
-"""Version of the scene's buffer; sizes of its header, a body, window, leg and contact."""
+LAYOUT = tuple((c_int32 * 4).in_dll(_LIBRARY, "contact_layout"))
+"""Version of the scene's buffer; numbers in its header, in a contact, and in a moment of one."""
 
 
 class Builtins:

@@ -52,5 +52,4 @@ const surface_t *contact_surface(int index) {
 
 const table_t *contact_table(int index) { return contact_tables + index; }
 
-const int32_t contact_layout[] = {SCENE_VERSION, S_HEADER, BODY_SIZE,
-                                  WINDOW_SIZE,   LEG_SIZE, CONTACT_SIZE};
+const int32_t contact_layout[] = {SCENE_VERSION, S_HEADER, CONTACT_SIZE, MOMENT_SIZE};

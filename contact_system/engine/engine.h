@@ -231,6 +231,6 @@ typedef struct {
 EXPORT const engine_t *contact_engine(void);
 EXPORT const surface_t *contact_surface(int index); /* of this package, NULL past the last */
 EXPORT const table_t *contact_table(int index);
-EXPORT extern const int32_t contact_layout[6]; /* what the binding checks: see dispatch.c */
+EXPORT extern const int32_t contact_layout[4]; /* what the binding reads: see dispatch.c */
 
 #endif

@@ -1,7 +1,6 @@
 """The motion of a scene's contacts: given to the engine as numbers, planned and evaluated there.
 
-The layout of those numbers is that of engine/engine.h. Its version and sizes are compared when the
-library is loaded.
+The layout of those numbers is that of engine/engine.h.
 """
 
 from __future__ import annotations
@@ -25,12 +24,10 @@ from ..theory.gain import LAWS
 from .explanation import OUTSIDE, SINGULAR_TIME, failed, lines
 from .starts import Moment, Starts
 
-VERSION = 8
-HEADER, BODY, WINDOW, LEG, CONTACT = 13, 5, 5, 5, 34  # numbers in each
-MOMENT = 23  # the last ones of a contact
-if LAYOUT != (VERSION, HEADER, BODY, WINDOW, LEG, CONTACT):
+VERSION, HEADER, CONTACT, MOMENT = LAYOUT
+if VERSION != 8:
     raise ImportError(
-        f"the engine of contact_system has another layout of scenes, {LAYOUT}, than this Python; "
+        f"the engine of contact_system has another layout of scenes, {VERSION}, than this Python; "
         "install the package again, or in a checkout: pip install -e ."
     )
 _HEAD, _ROW = struct.Struct(f"{HEADER}d").pack, struct.Struct(f"{CONTACT}d").pack
