@@ -67,16 +67,14 @@ class Buffer:
     ----------
     numbers : bytes
         Doubles.
-    count : int
-        Number of contacts.
     surfaces : list of Surface
         The surfaces that the buffer refers to by their index.
     """
 
     def __init__(self, scene: Scene, tolerance: float, begin: float, starts: Starts | None):
-        self.count = len(scene.contacts)
         self.surfaces: list[Surface] = []
-        self._tail: list[float] = []  # what follows header and contacts
+        self._tail: list[float] = []  # what follows header and contacts, from here on
+        self._after = HEADER + CONTACT * len(scene.contacts)
         self._bodies: dict[int, Numbers] = {}
         law, obj = LAWS[scene.gain.law], self._body(scene.object)
         rows = self._rows(scene, begin, starts)
@@ -88,7 +86,7 @@ class Buffer:
 
     def _put(self, numbers: Sequence[float]) -> int:
         """Add numbers; returns their index."""
-        index = HEADER + CONTACT * self.count + len(self._tail)
+        index = self._after + len(self._tail)
         self._tail += numbers
         return index
 
@@ -196,7 +194,7 @@ class Motion:
         self, scene: Scene, tolerance: float, begin: float = 0.0, starts: Starts | None = None
     ):
         buffer = Buffer(scene, tolerance, begin, starts)
-        self.scene, self._count = scene, buffer.count
+        self.scene, self._count = scene, len(scene.contacts)
         self._surfaces = buffer.surfaces  # kept: the engine points into their tables
         addresses = [ctypes.addressof(surface.engine_data) for surface in self._surfaces]
         self._addresses = (ctypes.c_void_p * len(addresses))(*addresses)
@@ -216,7 +214,7 @@ class Motion:
         gaps: whether those of contacts at a pole or an umbilic are not finite, and no error.
         """
         if not IN_CONTACT_FRAMES.isdisjoint(names):
-            self._anchor()
+            self._call(binding.anchor)  # again it changes nothing
         t = np.ascontiguousarray(t)
         count, n = self._count, len(t)
         # one block: after several large arrays are freed, the system clears pages for the next
@@ -235,19 +233,17 @@ class Motion:
                 raise failed(self.scene, failure)
         return results
 
-    def _anchor(self) -> None:
-        """Find the branches of the charts; doing it twice changes nothing."""
+    def _call(self, function: Any, *given: Any) -> None:
+        """Call a function of the engine on this plan; raises its error."""
         failure = binding.Failure()
-        if binding.anchor(self, byref(failure)):
+        if function(self, *given, byref(failure)):
             raise failed(self.scene, failure)
 
     def moments(self, t: float) -> list[Moment]:
         """Every contact as it is at time t."""
-        self._anchor()
         rows = np.empty((self._count, MOMENT))
-        failure = binding.Failure()
-        if binding.moments(self, t, address(rows), byref(failure)):
-            raise failed(self.scene, failure)
+        self._call(binding.anchor)
+        self._call(binding.moments, t, address(rows))
         return [self._moment(i, row) for i, row in enumerate(rows.tolist())]
 
     def _moment(self, contact: int, row: list[float]) -> Moment:
