@@ -39,7 +39,7 @@ from numpy.typing import ArrayLike
 
 from .checks import flag, one_of, shaped_array
 from .contact_equations import Form, contact_function
-from .engine.binding import Machine, contact_table, run
+from .engine.binding import START, Machine, run
 from .errors import SceneError
 from .kept import kept
 from .planning.starts import Moment, measured_start
@@ -56,7 +56,6 @@ Array = np.ndarray
 
 COORDINATES = ("chart", "frame")
 INPUTS = ("t", "x", "w", "held", "p")
-START = 0  # of the engine's tables of contacts, as in engine.h
 
 
 class SceneSystem:
@@ -334,7 +333,7 @@ class SceneSystem:
         if self.scene.gain.row.makes_up and not sigma > 0:  # lam is infinite: no slip
             return [*w1, 0.0, 0.0]
         point = np.array([[0, *w1, *start.object_velocity]]).T  # psi is 0 between frames
-        return [*w1, *run(contact_table(START), point, ())[-2:, 0].tolist()]
+        return [*w1, *run(START, point, ())[-2:, 0].tolist()]
 
     def leg_numbers(self, contact: int, t: float) -> Array:
         """The held numbers of the leg of a contact from time t on: its start and profile."""

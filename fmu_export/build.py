@@ -95,7 +95,7 @@ def library(target: str, name: str) -> bytes:
 
 SOURCES = ("fmu.c", "kernel.c")
 SHARED = (
-    *("engine_baseline", "contact_engine", "contact_surface", "contact_table", "contact_layout"),
+    *("engine_baseline", "contact_engine", "contact_layout"),
     *("builtin_surfaces", "n_builtin_surfaces", "contact_tables"),
 )
 """What the engine shows to others; several models may be linked into one program."""

@@ -152,8 +152,6 @@ def _library() -> ctypes.CDLL:
             "or pip install -e ."
         ) from None
     library.contact_engine.restype = POINTER(Engine)
-    library.contact_surface.restype = POINTER(SurfaceData)
-    library.contact_table.restype = POINTER(TableData)
     return library
 
 
@@ -188,21 +186,14 @@ class Builtins:
         return found
 
 
-def _surfaces() -> dict[str, Builtins]:
-    surfaces, index = {}, 0
-    while pointer := _LIBRARY.contact_surface(index):
-        surfaces[pointer.contents.name.decode()] = Builtins(pointer.contents)
-        index += 1
-    return surfaces
-
-
-SURFACES = _surfaces()
+_COUNT = c_int32.in_dll(_LIBRARY, "n_builtin_surfaces").value
+SURFACES = {
+    data.name.decode(): Builtins(data)
+    for data in (SurfaceData * _COUNT).in_dll(_LIBRARY, "builtin_surfaces")
+}
 """The bundled surfaces by their ``table_name``."""
-
-
-def contact_table(index: int) -> TableData:
-    """One of the tables of contacts, by its index in engine.h."""
-    return _LIBRARY.contact_table(index).contents
+START, POSE = (TableData * 2).in_dll(_LIBRARY, "contact_tables")
+"""The first two tables of contacts in engine.h."""
 
 
 def address(array: np.ndarray) -> int:

@@ -46,10 +46,4 @@ const engine_t *contact_engine(void) {
   return &engine_baseline;
 }
 
-const surface_t *contact_surface(int index) {
-  return index < n_builtin_surfaces ? builtin_surfaces + index : NULL;
-}
-
-const table_t *contact_table(int index) { return contact_tables + index; }
-
 const int32_t contact_layout[] = {SCENE_VERSION, S_HEADER, CONTACT_SIZE, MOMENT_SIZE};

@@ -45,10 +45,6 @@ typedef struct {
   const table_t *moved[2][N_MOVED], *other[N_OTHER];
 } surface_t;
 
-extern const surface_t builtin_surfaces[];
-extern const int n_builtin_surfaces;
-extern const table_t contact_tables[];
-
 /* ---- the scene's buffer: doubles, places as offsets from its beginning ---- */
 
 enum { SCENE_VERSION = 8 };
@@ -229,8 +225,9 @@ typedef struct {
 #define EXPORT __attribute__((visibility("default")))
 #endif
 EXPORT const engine_t *contact_engine(void);
-EXPORT const surface_t *contact_surface(int index); /* of this package, NULL past the last */
-EXPORT const table_t *contact_table(int index);
+EXPORT extern const surface_t builtin_surfaces[];
+EXPORT extern const int32_t n_builtin_surfaces;
+EXPORT extern const table_t contact_tables[];
 EXPORT extern const int32_t contact_layout[4]; /* what the binding reads: see dispatch.c */
 
 #endif

@@ -19,7 +19,6 @@ from .goal import Goal
 from .shooting import Array, Follower
 
 MOST_LEGS = 4
-POSE = 1  # of the engine's tables of contacts, as in engine.h
 LANES = 16
 """Paths that the engine searches at once."""
 PARTS = 8
@@ -225,7 +224,7 @@ def _pose(psi: float, both: list[tuple[Array, Array]]) -> Array:
     """The finger's pose, (4, 4), where it touches with points and frames of both bodies."""
     c, s = np.cos(psi), np.sin(psi)
     frames = np.concatenate([(x, *frame.T[:2]) for x, frame in both]).reshape(-1, 1)
-    found = binding.run(binding.contact_table(POSE), frames, (c, -s, -s, -c))
+    found = binding.run(binding.POSE, frames, (c, -s, -s, -c))
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = found[:9].reshape(3, 3), found[9:, 0]
     return pose

@@ -94,7 +94,7 @@ class Writer:
         return (
             f"{MARK}\n{lines}\n\n"
             f"const surface_t builtin_surfaces[] = {_column(surfaces)};\n\n"
-            f"const int n_builtin_surfaces = {len(surfaces)};\n\n"
+            f"const int32_t n_builtin_surfaces = {len(surfaces)};\n\n"
             f"const table_t contact_tables[] = {_column(contact)};\n"
         )
 

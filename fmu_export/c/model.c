@@ -79,7 +79,7 @@ static void read_surfaces(model_t *m) {
   const shape_t *row = data_at(m, m->head->surfaces.at);
   for (long s = 0; s < m->head->surfaces.count; s++, row++) {
     surface_t *own = m->own + s;
-    m->surfaces[s] = row->builtin < 0 ? own : contact_surface((int)row->builtin);
+    m->surfaces[s] = row->builtin < 0 ? own : builtin_surfaces + row->builtin;
     *own = (surface_t){.name = "",
                        .n_numbers = (int32_t)row->n_numbers,
                        .double_cover = (int32_t)row->double_cover,
