@@ -13,28 +13,25 @@ typedef void (*twin_t)(double (*restrict r)[L]);
 /* gcc unrolls 16 lanes completely and then packs them poorly, but for `omp simd`; clang vectorises
    no loop that a computed goto leads to, hence the switch. */
 static void interpret(const code_t *restrict k, lanes_t r) {
-#define SIMPLE(name, value)                                                                        \
+#define EACH_SIMPLE(name, value)                                                                   \
   case OP_##name: {                                                                                \
     EACH_LANE(i) to[i] = (value);                                                                  \
     break;                                                                                         \
   }
-#define CALL(name, value)                                                                          \
+#define EACH_CALL(name, value)                                                                     \
   case OP_##name:                                                                                  \
     for (int i = 0; i < L; i++) to[i] = (value);                                                   \
     break;
-#define LANES(name, function)                                                                      \
+#define EACH_OWN(name, function)                                                                   \
   case OP_##name:                                                                                  \
     lanes_##function(to, a);                                                                       \
     break;
   for (; k->op != OP_END; k++) {
     double *to = r[k->to];
     const double *a = r[k->a], *b = r[k->b];
-    switch (k->op) { OPERATIONS(SIMPLE, CALL, LANES) }
+    switch (k->op) { OPERATIONS(EACH_SIMPLE, EACH_CALL, EACH_OWN) }
   }
 }
-#undef SIMPLE
-#undef CALL
-#undef LANES
 #undef A
 #undef B
 
@@ -62,11 +59,11 @@ INLINE void run_point(const program_t *program, double (*d)[L]) {
     grow(d, k, partial, (int)(sizeof partial / sizeof *partial));                                  \
     break;                                                                                         \
   }
-#define SIMPLE(name, value)                                                                        \
+#define ONE(name, value)                                                                           \
   case OP_##name:                                                                                  \
     r[k->to] = (value);                                                                            \
     break;
-#define LANES(name, function)                                                                      \
+#define ONE_OWN(name, function)                                                                    \
   case OP_##name:                                                                                  \
     r[k->to] = one_##function(A);                                                                  \
     break;
@@ -74,12 +71,9 @@ INLINE void run_point(const program_t *program, double (*d)[L]) {
     if (d) {
       switch (k->op) { DERIVATIVES(PARTIALS) }
     }
-    switch (k->op) { OPERATIONS(SIMPLE, SIMPLE, LANES) }
+    switch (k->op) { OPERATIONS(ONE, ONE, ONE_OWN) }
   }
 }
-#undef PARTIALS
-#undef SIMPLE
-#undef LANES
 #undef A
 #undef B
 
