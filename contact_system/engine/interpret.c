@@ -6,39 +6,6 @@ typedef void (*twin_t)(double (*restrict r)[L]);
 
 #include "generated/twins.inc"
 
-/* the operations' operands, as operations.inc writes them */
-#define A a[i]
-#define B b[i]
-
-/* gcc unrolls 16 lanes completely and then packs them poorly, but for `omp simd`; clang vectorises
-   no loop that a computed goto leads to, hence the switch. */
-static void interpret(const code_t *restrict k, lanes_t r) {
-#define EACH_SIMPLE(name, value)                                                                   \
-  case OP_##name: {                                                                                \
-    EACH_LANE(i) to[i] = (value);                                                                  \
-    break;                                                                                         \
-  }
-#define EACH_CALL(name, value)                                                                     \
-  case OP_##name:                                                                                  \
-    for (int i = 0; i < L; i++) to[i] = (value);                                                   \
-    break;
-#define EACH_OWN(name, function)                                                                   \
-  case OP_##name:                                                                                  \
-    lanes_##function(to, a);                                                                       \
-    break;
-  for (; k->op != OP_END; k++) {
-    double *to = r[k->to];
-    const double *a = r[k->a], *b = r[k->b];
-    switch (k->op) { OPERATIONS(EACH_SIMPLE, EACH_CALL, EACH_OWN) }
-  }
-}
-#undef A
-#undef B
-
-/* The same of one point, with the same bits, a register being one double */
-#define A r[k->a]
-#define B r[k->b]
-
 /* d f = sum of partial derivatives times what their operands grow by; what stands still adds
    nothing, whatever its derivative */
 static void grow(double (*d)[L], const code_t *k, const double *partial, int n) {
@@ -50,35 +17,51 @@ static void grow(double (*d)[L], const code_t *k, const double *partial, int n) 
   memcpy(d[k->to], sum, sizeof sum);
 }
 
-/* d: derivatives that are carried along, or NULL */
-INLINE void run_point(const program_t *program, double (*d)[L]) {
-  double *restrict r = program->registers;
+/* Runs a program on registers of L doubles, or with the same bits of one. d: derivatives that are
+   carried along with one, or NULL.
+
+   gcc unrolls 16 lanes completely and then packs them poorly, but for `omp simd`; clang vectorises
+   no loop that a computed goto leads to, hence the switch. */
+INLINE void execute(const code_t *restrict k, double *restrict r, const int width, double (*d)[L]) {
+#define REGISTER(of) r[of * width + i]
+#define A REGISTER(k->a) /* the operands, as operations.inc writes them */
+#define B REGISTER(k->b)
+#define SIMPLE(name, value)                                                                        \
+  case OP_##name: {                                                                                \
+    SIMD for (int i = 0; i < width; i++) REGISTER(k->to) = (value);                                \
+    break;                                                                                         \
+  }
+#define CALL(name, value)                                                                          \
+  case OP_##name:                                                                                  \
+    for (int i = 0; i < width; i++) REGISTER(k->to) = (value);                                     \
+    break;
+#define LANES(name, function)                                                                      \
+  case OP_##name:                                                                                  \
+    if (width == 1)                                                                                \
+      r[k->to] = one_##function(r[k->a]);                                                          \
+    else                                                                                           \
+      lanes_##function(r + k->to * L, r + k->a * L);                                               \
+    break;
 #define PARTIALS(name, ...)                                                                        \
   case OP_##name: {                                                                                \
     const double partial[] = {__VA_ARGS__};                                                        \
     grow(d, k, partial, (int)(sizeof partial / sizeof *partial));                                  \
     break;                                                                                         \
   }
-#define ONE(name, value)                                                                           \
-  case OP_##name:                                                                                  \
-    r[k->to] = (value);                                                                            \
-    break;
-#define ONE_OWN(name, function)                                                                    \
-  case OP_##name:                                                                                  \
-    r[k->to] = one_##function(A);                                                                  \
-    break;
-  for (const code_t *k = program->code; k->op != OP_END; k++) {
+  for (; k->op != OP_END; k++) {
     if (d) {
+      const int i = 0;
       switch (k->op) { DERIVATIVES(PARTIALS) }
     }
-    switch (k->op) { OPERATIONS(ONE, ONE, ONE_OWN) }
+    switch (k->op) { OPERATIONS(SIMPLE, CALL, LANES) }
   }
-}
 #undef A
 #undef B
+}
 
-static void step(const program_t *program) { run_point(program, NULL); }
-static void along(const program_t *program, double (*d)[L]) { run_point(program, d); }
+static void interpret(const code_t *k, lanes_t r) { execute(k, r[0], L, NULL); }
+static void step(const program_t *p) { execute(p->code, p->registers, 1, NULL); }
+static void along(const program_t *p, double (*d)[L]) { execute(p->code, p->registers, 1, d); }
 
 /* A table with room to run in, its constants and prologue done. Bodies, places and times change
    from run to run, constants seldom. */
