@@ -147,8 +147,7 @@ class Plan:
                 f"{', '.join(SHAPES)}"
             )
         for name in names:
-            if not isinstance(name, str) or name not in SHAPES:
-                one_of(name, SHAPES, f"{self.scene.title}: result", ContactSystemError)
+            one_of(name, SHAPES, f"{self.scene.title}: result", ContactSystemError)
         if "carried" in names:
             self._require_frames("carried")
         times = _one_axis(t)

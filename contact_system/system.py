@@ -127,8 +127,7 @@ class SceneSystem:
     def _require_possible(self) -> None:
         """Raise a SceneError if the scene cannot be written in these coordinates."""
         scene = self.scene
-        reason = without_chart(scene) if self.coordinates == "chart" else ""
-        if reason:
+        if self.coordinates == "chart" and (reason := without_chart(scene)):
             raise SceneError(f'{scene.title}{reason}; use coordinates="frame"')
         for d in scene.disturbances:
             if d.accelerates:

@@ -19,9 +19,8 @@ EPS = 2.0**-52
 # failure_t.code, and kind and reason of fact_t, as in engine.h
 STUCK, TOO_MANY_PANELS, TOO_LONG, SINGULAR_CHART, SINGULAR_TIME, OUTSIDE = range(2, 8)
 CIRCLE, LINE, PANELS = range(3)
-UNPUSHED, NO_SLIP, SLIP_LEFT, SLIPS, OFFSET, OFFSET_AND_SLIP, PUSHED, NEGLIGIBLE, FOLLOWING = range(
-    9
-)
+UNPUSHED, NO_SLIP, SLIP_LEFT, SLIPS, OFFSET = range(5)
+OFFSET_AND_SLIP, PUSHED, NEGLIGIBLE, FOLLOWING = range(5, 9)
 
 
 # --- how a plan was made -------------------------------------------------------------------------
