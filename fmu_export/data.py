@@ -19,7 +19,7 @@ from contact_system.surfaces import Ellipsoid, Surface, Torus
 from .model import TOLERANCE, equations, frame_sizes, measured
 from .variables import Table
 
-VERSION, HEADER = 20261205, 27
+VERSION, HEADER = 20261206, 27
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
 _SURFACE = f"5q2d{2 * N_MOVED}q"
 

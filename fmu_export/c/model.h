@@ -18,7 +18,7 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_VERSION 20261205
+#define DATA_VERSION 20261206
 
 typedef struct {
   int64_t at, count;
