@@ -506,7 +506,10 @@ def strange(good, path, old="", new="", **members):
     return path
 
 
-def test_fmus_of_strangers_are_refused_by_name_and_stay_in_their_folder(build, tmp_path):
+def test_fmus_of_strangers_are_refused_by_name_and_stay_in_their_folder(
+    build, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # where FMUs are unpacked
     end = "</ModelVariables>"
     array = f'<Float64 name="a" valueReference="99"><Dimension start="{10**12}"/></Float64>{end}'
     for change, message in (
@@ -517,7 +520,7 @@ def test_fmus_of_strangers_are_refused_by_name_and_stay_in_their_folder(build, t
         path = strange(build("3.0"), tmp_path / "strange.fmu", **change)
         with pytest.raises(cs.ContactSystemError, match=f"strange.fmu.*{message}"):
             FmuSystem(path, step=STEP)
-    assert not (Path(tempfile.gettempdir()) / "x").exists()
+    assert not (tmp_path / "x").exists()
 
 
 def test_an_fmu_unpacks_to_no_more_than_a_limit(build, monkeypatch):
