@@ -174,7 +174,7 @@ class _Contact:
         return self.rows(name, axes, (1, -1, 0), text, nominal=self.speed)
 
     def outputs(self) -> list[list[Variable]]:
-        """Groups of results: slip, twist, pose, points, condition."""
+        """Groups of results: slip, twist, pose, points, slip speed, condition."""
         points: list[Variable] = []
         for name, surface in self.bodies:
             text = f"Contact point in the {name}'s frame"
@@ -182,8 +182,9 @@ class _Contact:
         recovery = "Time in which slip falls to a hundredth at its present rate; at most 1e6 s"
         condition = [
             *self.speeds("path.speed", (), "sigma, the speed of the contact along its path"),
-            *self.speeds("slip_speed", (), "Length of the slip"),
             *self.rows("disturbance.active", (), NONE, "1 while an input or a window acts, else 0"),
             *self.rows("recovery_time", (), SECOND, recovery),
         ]
-        return [self.speeds("slip", XY, "Slip v_rel in E2"), *self.motion(), points, condition]
+        slip = self.speeds("slip", XY, "Slip v_rel in E2")
+        slip_speed = self.speeds("slip_speed", (), "Length of the slip")
+        return [slip, *self.motion(), points, slip_speed, condition]

@@ -8,7 +8,7 @@ sigma = 0, in space no pole stands in their way, and they are not stiff where th
 
 Results are the states' derivatives; the nine numbers of charts, u1 v1 u1' v1' u2 v2 u2' v2' psi;
 slip (2), twist (6), the pose of the finger in the object's frame (rotation row by row, 9,
-position, 3), the contact point on finger and object (3 + 3); sigma, the length of the slip, 1 where
+position, 3), the contact point on finger and object (3 + 3); the length of the slip; sigma, 1 where
 a disturbance acts, and the time in which slip falls to a hundredth at its present rate, `NEVER`
 where it does not.
 """
@@ -75,13 +75,13 @@ def equations(finger: Surface, obj: Surface, law: str, n_profile: int) -> tuple[
 
 
 def _condition(law: str, t: ca.SX, own: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca.SX]:
-    """Sigma, |slip|, whether a disturbance acts, expected time of recovery."""
+    """|slip|, sigma, whether a disturbance acts, expected time of recovery."""
     profile = ca.vertsplit(own[1:])
     sigma = polynomial(profile, t)
     growth = ca.gradient(sigma, t) / ca.fmax(sigma, TINY)
     rate = LAWS[law].rate(own[0], sigma, ca.fmax(0, growth)) - growth  # of contraction
     recovery = ca.fmin(math.log(100) / ca.fmax(rate, 1e-9), NEVER)
-    return [sigma, ca.sqrt(ca.sumsqr(slip) + TINY), ca.sumsqr(w) > 0, recovery]
+    return [ca.sqrt(ca.sumsqr(slip) + TINY), sigma, ca.sumsqr(w) > 0, recovery]
 
 
 @per_structure

@@ -63,6 +63,7 @@ enum {
   OF_TWIST,
   OF_POSE,
   OF_POINTS,
+  OF_SLIP_SPEED,
   OF_CONDITION,
   GROUPS
 };

@@ -94,7 +94,7 @@ static int look(component_t *c, long i, double t, unsigned groups) {
   if (groups & BIT(OF_TWIST)) out[TWIST] = values_of(c, i, OF_TWIST);
   if (groups & BIT(OF_POSE)) out[POSE] = pose;
   if (groups & BIT(OF_POINTS)) out[POINTS] = values_of(c, i, OF_POINTS);
-  if (groups & BIT(OF_CONDITION)) out[SLIP_SPEED] = values_of(c, i, OF_CONDITION) + 1;
+  if (groups & BIT(OF_SLIP_SPEED)) out[SLIP_SPEED] = values_of(c, i, OF_SLIP_SPEED);
   UNTRAPPED(wrong = c->engine->look(plan, t, out, &c->failure));
   if (wrong || (groups & BIT(OF_STATES) && go_on(c, plan, t, &now))) return 1;
   if (groups & BIT(OF_STATES)) put_states(c->model, i, now.row, values_of(c, i, OF_STATES));

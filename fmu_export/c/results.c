@@ -1,54 +1,26 @@
 /* Results, each group where it is asked for: of plans, or of the equations at the states. */
 
-#define ALL_RESULTS (BIT(GROUPS) - BIT(OF_STATES))
-
-static void no_values(component_t *c, long i, unsigned groups) {
-  for (int g = OF_STATES; g < GROUPS; g++)
-    for (double *x = values_of(c, i, g); groups & BIT(g) && x < values_of(c, i, g + 1); x++)
-      *x = NAN;
-}
-
-/* Rates, from the equations at the states; sigma and what follows from it */
-static void find_rates(component_t *c, long i, unsigned groups) {
-  double *rates = values_of(c, i, OF_RATES), *condition = values_of(c, i, OF_CONDITION);
-  const double *found = run_system(c, i);
-  for (int j = 0; j < 4 && groups & BIT(OF_CONDITION); j++)
-    if (j != 1) condition[j] = found[condition - rates + j];
-  if (groups & BIT(OF_RATES)) memcpy(rates, found, (size_t)states_of(c->model, i) * sizeof *found);
-}
-
-/* Brings groups of contact i up to date. */
-static status_t find(component_t *c, long i, unsigned groups) {
+/* Brings a group of contact i's results up to date. */
+static status_t find(component_t *c, long i, int group) {
   live_t *k = c->live + i;
-  if (SYSTEM(c->now)) {
-    if (!k->valid && groups) {
-      find_system(c, i);
-      k->valid = ALL_RESULTS;
-    }
-    return OK;
+  const int system = SYSTEM(c->now);
+  if (k->valid & BIT(group)) return OK;
+  if (group == OF_RATES && !system) {
+    const status_t s = find(c, i, OF_STATES);
+    if (s) return s;
   }
-  const unsigned rates = BIT(OF_RATES), states = BIT(OF_STATES);
-  if (groups & rates) groups |= states;
-  const unsigned missing = groups & ~k->valid, asked = missing & ~rates;
-  if (asked) {
-    if (!k->plan && cover(c, i, c->now->time))
-      return refuse_motion(c, DISCARD, i, "values", c->now->time, NULL);
+  if (!system && !k->plan && cover(c, i, c->now->time))
+    return refuse_motion(c, DISCARD, i, "values", c->now->time, NULL);
+  if (system || group == OF_RATES || group == OF_CONDITION) {
+    find_system(c, i, system ? OF_RATES : group, system ? GROUPS : group + 1);
+  } else {
     /* at a pole or an umbilic there are values of what comes a moment before */
     const double t = time_on(c, i), before = t - 1e-8 * (t - c->segment[i].begin);
-    if (look(c, i, t, asked) && look(c, i, before, asked))
-      no_values(c, i, missing | (missing & states ? rates : 0));
+    if (look(c, i, t, BIT(group)) && look(c, i, before, BIT(group)))
+      for (double *x = values_of(c, i, group); x < values_of(c, i, group + 1); x++) *x = NAN;
   }
-  if (missing & (rates | BIT(OF_CONDITION))) find_rates(c, i, missing);
-  k->valid |= missing;
+  k->valid |= system ? BIT(GROUPS) - 1 : BIT(group);
   return OK;
-}
-
-/* The group to be found for a value, as a bit; 0 where it is given */
-static unsigned group_of(const component_t *c, long i, long reference) {
-  int g = OF_INPUTS;
-  while (reference >= at_of(c->model, i, g + 1)) g++;
-  if (SYSTEM(c->now)) return g < OF_RATES ? 0 : ALL_RESULTS;
-  return BIT(g) & ALL_RESULTS;
 }
 
 /* tables divide an acceleration by 1e-300 at rest */
@@ -89,10 +61,12 @@ static status_t check_found(component_t *c, unsigned reference, const double *va
 
 static status_t get_values(component_t *c, unsigned reference, long count, double *value) {
   const long i = (long)c->model->values[reference].owner;
-  if (i >= 0) {
-    const unsigned group = group_of(c, i, reference);
-    status_t s = group && !SYSTEM(c->now) ? settle(c, "values", c->now->time) : OK;
-    if (!s && (group & ~c->live[i].valid)) s = find(c, i, group);
+  const int system = SYSTEM(c->now);
+  int group = OF_INPUTS;
+  while (i >= 0 && reference >= at_of(c->model, i, group + 1)) group++;
+  if (group >= (system ? OF_RATES : OF_STATES)) { /* others are given */
+    status_t s = system ? OK : settle(c, "values", c->now->time);
+    if (!s) s = find(c, i, group);
     if (s) return s;
   }
   memcpy(value, c->value + reference, (size_t)count * sizeof *value);
@@ -147,7 +121,7 @@ static void grow_results(component_t *c, long i) {
 static status_t derive(component_t *c) {
   for (long i = 0; i < c->model->n_contacts; i++) {
     if (!c->live[i].derived) continue;
-    const status_t s = SYSTEM(c->now) ? OK : find(c, i, BIT(OF_STATES));
+    const status_t s = SYSTEM(c->now) ? OK : find(c, i, OF_STATES);
     if (s) return s;
     grow_windows(c, i);
     grow_results(c, i);

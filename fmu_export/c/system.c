@@ -60,11 +60,11 @@ static const double *run_system(component_t *c, long i) {
   return found;
 }
 
-static void find_system(component_t *c, long i) {
-  double *results = values_of(c, i, OF_RATES);
-  const double *found = run_system(c, i);
-  memcpy(results, found, (size_t)n_results(c->model, i) * sizeof *found);
-  for (long j = 0; j < n_results(c->model, i) && past_end(c); j++) results[j] = NAN;
+/* Results of contact i at its states, from one group on to another; with it the others are past */
+static void find_system(component_t *c, long i, int group, int end) {
+  const double *found = run_system(c, i) - at_of(c->model, i, OF_RATES);
+  for (long r = at_of(c->model, i, group); r < at_of(c->model, i, end); r++)
+    c->value[r] = past_end(c) ? NAN : found[r];
 }
 
 /* The path turns where a leg begins. What slips goes on slipping, but behind a rest under a law
