@@ -11,15 +11,15 @@ static double *load_table(component_t *c, const table_t *t) {
   return r;
 }
 
-/* Loads a table of a body's surface; numbers: how the surface's grow, or NULL. */
-static double *load_surface(component_t *c, long i, int side, const table_t *t,
-                            double (*numbers)[L]) {
+/* Loads a table of a body's surface; grows: whether its parameters do, as c->grows says. */
+static double *load_surface(component_t *c, long i, int side, const table_t *t, int grows) {
   const size_t n = n_parameters(c->model, i, side);
+  const int64_t at = c->model->contacts[i].parameters[side];
   c->room[0] = c->model->scene[(long)body_of(c->model, i, side)[B_NUMBERS]]; /* sign */
-  memcpy(c->room + 1, c->value + c->model->contacts[i].parameters[side], n * sizeof *c->value);
+  memcpy(c->room + 1, c->value + at, n * sizeof *c->value);
   double *r = load_table(c, t);
   memset(c->along, 0, (size_t)t->n_regs * sizeof *c->along);
-  if (numbers) memcpy(c->along + t->n_in + 1, numbers, n * sizeof *numbers);
+  if (grows) memcpy(c->along + t->n_in + 1, c->grows + at, n * sizeof *c->grows);
   c->engine->along(&(program_t){t->prologue, r}, c->along);
   return r;
 }
@@ -27,8 +27,8 @@ static double *load_surface(component_t *c, long i, int side, const table_t *t,
 /* Puts a frame in space, whose start values anybody may have set, or a parameter of its surface,
    back on the surface: one of the scene's own keeps its u, v and theta, others move along the
    gradient. Returns what is wrong, or NULL. */
-static const char *put_frame(component_t *c, long i, int side, double frame[6], double (*grows)[L],
-                             double (*numbers)[L]) {
+static const char *put_frame(component_t *c, long i, int side, double frame[6],
+                             double (*grows)[L]) {
   const double *starts = data_at(c->model, c->model->head->starts), *row = row_of(c->model, i);
   const table_t *const *tables = surface_of(c->model, i, side)->moved[IN_SPACE],
                        *t = tables[A_START];
@@ -38,7 +38,7 @@ static const char *put_frame(component_t *c, long i, int side, double frame[6], 
   const int set =
       memcmp(c->value + at, starts + at, n_parameters(c->model, i, side) * sizeof *starts);
   if (t && (set || grows) && !memcmp(frame, own, 6 * sizeof *frame)) {
-    double *r = load_surface(c, i, side, t, numbers);
+    double *r = load_surface(c, i, side, t, grows != NULL);
     memcpy(r, row + (side ? K_PLACE_2 : K_PLACE_1), 2 * sizeof *r);
     r[2] = side ? 0.0 : -row[K_ANGLE];
     c->engine->along(&(program_t){t->body, r}, c->along);
@@ -47,7 +47,7 @@ static const char *put_frame(component_t *c, long i, int side, double frame[6], 
     for (int a = 0; a < 6 && grows && found; a++)
       for (int k = 0; k < L; k++) grows[a][k] += c->along[t->first_out + a][k];
   }
-  double *r = load_surface(c, i, side, t = tables[A_RESTORE], numbers), moved = 1.0;
+  double *r = load_surface(c, i, side, t = tables[A_RESTORE], grows != NULL), moved = 1.0;
   memcpy(r, frame, 6 * sizeof *r);
   if (grows) memcpy(c->along, grows, 6 * sizeof *grows);
   for (int k = 0; k < 50 && moved > 1e-12; k++) {
@@ -70,27 +70,21 @@ static const char *put_frame(component_t *c, long i, int side, double frame[6], 
 /* u v theta of a frame in space, in principal values */
 static void find_place(component_t *c, long i, int side, const double frame[6], double place[3]) {
   const table_t *t = surface_of(c->model, i, side)->moved[IN_SPACE][M_COORDINATES];
-  double *r = load_surface(c, i, side, t, NULL);
+  double *r = load_surface(c, i, side, t, 0);
   memset(r, 0, (size_t)t->n_in * sizeof *r); /* it does not move */
   memcpy(r, frame, 6 * sizeof *r);
   UNTRAPPED(c->engine->step(&(program_t){t->body, r}));
   place[0] = r[t->first_out], place[1] = r[t->first_out + 1], place[2] = r[t->first_out + 4];
 }
 
-/* Both frames of contact i among these states, where they are in space. grows: of the point and
-   constants of its equations, or NULL. Returns what is wrong, or NULL. */
+/* Both frames of contact i among these states, where they are in space. grows: of the states, or
+   NULL. Returns what is wrong, or NULL. */
 static const char *put_frames(component_t *c, long i, double *states, double (*grows)[L]) {
-  const model_t *m = c->model;
-  const table_t *t = system_of(m, i); /* its last constants are the numbers of finger and object */
   const char *wrong = NULL;
-  long numbers = t->n_in + t->n_const;
-  for (int side = 0; side < 2; side++) numbers -= (long)n_parameters(m, i, side);
   for (int side = 0; side < 2 && !wrong; side++) {
-    const size_t from = side ? frame_of(m, i, 0) : 0;
-    double (*own)[L] = grows ? grows + 1 + from : NULL; /* behind time */
-    double (*of)[L] = grows ? grows + numbers : NULL;
-    if (frame_of(m, i, side) == 6) UNTRAPPED(wrong = put_frame(c, i, side, states + from, own, of));
-    numbers += (long)n_parameters(m, i, side);
+    const size_t n = frame_of(c->model, i, side);
+    if (n == 6) UNTRAPPED(wrong = put_frame(c, i, side, states, grows));
+    states += n, grows = grows ? grows + n : NULL;
   }
   return wrong;
 }

@@ -27,7 +27,7 @@ static double *load_system(component_t *c, long i, double (*grows)[L]) {
   const int64_t *column = (const int64_t *)data_at(m, m->contacts[i].columns) + t->n_in;
   double x[MOST_STATES];
   memcpy(x, values_of(c, i, OF_STATES), (size_t)n * sizeof *x);
-  if (c->now->phase == INITIALIZATION) put_frames(c, i, x, grows);
+  if (c->now->phase == INITIALIZATION) put_frames(c, i, x, grows ? grows + 1 : NULL);
   for (long j = 0, own = 0; j < t->n_const; j++)
     c->room[j] = column[j] >= 0 ? c->value[column[j]] : own < leg.n ? leg.sigma[own++] : 0.0;
   double *r = load_table(c, t);
