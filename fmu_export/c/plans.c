@@ -63,13 +63,10 @@ static double time_on(const component_t *c, long i) {
 
 /* A segment goes on at time t from where a plan of it has come to. */
 static int go_on(component_t *c, plan_t *plan, double t, segment_t *s) {
-  double m[MOMENT_SIZE];
   int wrong;
-  UNTRAPPED(wrong = c->engine->moments(plan, t, m, &c->failure));
-  if (wrong) return 1;
-  s->begin = t, s->row[K_MOMENT] = 1.0;
-  memcpy(s->row + K_PLACE_1, m, sizeof m);
-  return 0;
+  UNTRAPPED(wrong = c->engine->moments(plan, t, s->row + K_PLACE_1, &c->failure));
+  if (!wrong) s->begin = t, s->row[K_MOMENT] = 1.0;
+  return wrong;
 }
 
 #define BIT(group) (1u << (group))
