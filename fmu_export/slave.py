@@ -28,7 +28,6 @@ from contact_system.checks import flag, of_kind
 from contact_system.engine.binding import LIBRARY
 from contact_system.scene import Scene, require_scene
 
-from .build import library_place
 from .data import scene_data
 from .description import check_choice, model_description, model_identifier
 from .variables import variable_table
@@ -87,20 +86,16 @@ class _Slave:
         (folder / "modelDescription.xml").write_text(text, "utf-8")
         (folder / "resources").mkdir()
         (folder / "resources" / "scene.bin").write_bytes(data)
-        library = folder / library_place(identifier, "native", self._version)
-        library.parent.mkdir(parents=True)  # where fmpy looks for it
-        try:
-            library.symlink_to(LIBRARY)
-        except OSError:  # Windows, where not everybody may
-            shutil.copy(LIBRARY, library)
-        # fmpy finds functions by the name of the class; the rest of what it makes is good here too
+        # fmpy finds functions by the name of the class, and for FMI 3 a library elsewhere by a name
+        # that is an absolute path; the rest of what it makes is good here too
         plain = self._plain(
             guid=token,
-            modelIdentifier=identifier,
+            modelIdentifier=str(LIBRARY.with_suffix("")),
+            libraryPath=str(LIBRARY),
             unzipDirectory=str(folder),
             instanceName=name or identifier,
         )
-        self.__dict__ |= plain.__dict__
+        self.__dict__ |= plain.__dict__ | {"modelIdentifier": identifier}
         self.instantiate(loggingOn=True)
 
     def _tell(self, *words: Any) -> None:
