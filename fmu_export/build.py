@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import importlib.util
-import platform
 import re
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
+
+from fmpy import platform_tuple
 
 from contact_system.checks import items_of, one_of
 from contact_system.engine.binding import LIBRARY
@@ -32,15 +33,12 @@ UNITS = (ENGINE / "engine.c", ENGINE / "dispatch.c", C_FOLDER / "fmi2.c", C_FOLD
 
 def native_platform() -> str:
     """The name of this machine's platform in `PLATFORMS`."""
-    machine = {"amd64": "x86_64", "x86_64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}
-    system = {"linux": "linux", "win32": "windows", "darwin": "darwin"}
-    found = f"{machine.get(platform.machine().lower())}-{system.get(sys.platform)}"
-    if found not in PLATFORMS:
+    if platform_tuple not in PLATFORMS:
         raise ContactSystemError(
-            f"this machine ({platform.machine()}, {sys.platform}) is none of the platforms FMUs "
-            f"are built for here; name one of {', '.join(PLATFORMS)}"
+            f"this machine ({platform_tuple}) is none of the platforms FMUs are built for here; "
+            f"name one of {', '.join(PLATFORMS)}"
         )
-    return found
+    return platform_tuple
 
 
 def _platform(target: str) -> Platform:
