@@ -19,9 +19,9 @@ from contact_system.surfaces import Ellipsoid, Surface, Torus
 from .model import TOLERANCE, equations, frame_sizes, measured
 from .variables import Table
 
-VERSION, HEADER = 20261206, 27
+VERSION, HEADER = 20261207, 27
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
-_SURFACE = f"5q2d{2 * N_MOVED}q"
+_SURFACE, _TABLE = f"{1 + 2 * N_MOVED}q4i2d", "8i3q"
 
 
 class _Data:
@@ -62,7 +62,7 @@ class _Data:
     def instructions(self, t: Any) -> list[int]:
         """Add a table's instructions; returns its row."""
         code = (self.put(words.astype("<u2").tobytes()) for words in t.words)
-        return [*t.sizes, *code, self.doubles(t.numbers)]
+        return [*t.sizes, t.twin, *code, self.doubles(t.numbers)]
 
 
 def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
@@ -100,7 +100,7 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
         *(data.doubles([rows[r].nominal for r in table.states]), data.doubles(limits)),
         *(data.put(engine.numbers), len(engine.numbers) // 8),
         *(*data.rows(values), *data.rows(contacts), *data.rows(surfaces, _SURFACE)),
-        *data.rows([data.instructions(t) for t in data.tables]),
+        *data.rows([data.instructions(t) for t in data.tables], _TABLE),
         *(
             *data.rows(windows),
             *data.rows([(t,) for t in sorted(corners)], "d"),
@@ -142,9 +142,9 @@ def _surface(surface: Surface, data: _Data) -> list[Any]:
     """The row of a surface, by its number in the engine or with its tables."""
     if surface.table_name is not None:
         place = list(SURFACES).index(surface.table_name)
-        return [place, *surface.traits, *[-1] * (2 * N_MOVED)]
+        return [place, *[-1] * (2 * N_MOVED), *surface.traits]
     tables = map(data.table, (*surface.tables.chart, *surface.tables.ambient))
-    return [-1, *surface.traits, *tables]
+    return [-1, *tables, *surface.traits]
 
 
 def as_c(data: bytes) -> str:

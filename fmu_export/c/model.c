@@ -66,10 +66,7 @@ static void read_tables(model_t *m) {
   const written_t *row = data_at(m, m->head->tables.at);
   for (long k = 0; k < m->head->tables.count; k++, row++) {
     table_t *t = m->tables + k;
-    int32_t *const numbers[] = {&t->n_in,      &t->n_const,   &t->n_out, &t->n_lit,
-                                &t->first_lit, &t->first_out, &t->n_regs};
-    for (int n = 0; n < 7; n++) *numbers[n] = (int32_t)row->numbers[n];
-    t->twin = -1;
+    memcpy(t, row->numbers, sizeof row->numbers);
     t->prologue = data_at(m, row->prologue), t->body = data_at(m, row->body);
     t->literals = data_at(m, row->literals);
   }
@@ -81,10 +78,10 @@ static void read_surfaces(model_t *m) {
     surface_t *own = m->own + s;
     m->surfaces[s] = row->builtin < 0 ? own : builtin_surfaces + row->builtin;
     *own = (surface_t){.name = "",
-                       .n_numbers = (int32_t)row->n_numbers,
-                       .double_cover = (int32_t)row->double_cover,
-                       .closed = (int32_t)row->closed,
-                       .may_be_singular = (int32_t)row->may_be_singular,
+                       .n_numbers = row->n_numbers,
+                       .double_cover = row->double_cover,
+                       .closed = row->closed,
+                       .may_be_singular = row->may_be_singular,
                        .period_u = row->period_u,
                        .period_v = row->period_v};
     for (int k = 0; k < 2 * N_MOVED; k++) {

@@ -18,7 +18,7 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_VERSION 20261206
+#define DATA_VERSION 20261207
 
 typedef struct {
   int64_t at, count;
@@ -91,16 +91,17 @@ typedef struct {
   int64_t values; /* reference of start, stop and two components */
 } window_t;
 
-/* a surface: which of the engine's, or -1; what it is; its own tables, -1: none */
+/* a surface: which of the engine's, or -1; its own tables, -1: none; the rest of surface_t */
 typedef struct {
-  int64_t builtin, n_numbers, double_cover, closed, may_be_singular;
+  int64_t builtin, tables[2 * N_MOVED];
+  int32_t n_numbers, double_cover, closed, may_be_singular;
   double period_u, period_v;
-  int64_t tables[2 * N_MOVED];
 } shape_t;
 
-/* a table: the numbers of table_t in their order; then places */
+/* a table: the numbers of table_t; places */
 typedef struct {
-  int64_t numbers[7], prologue, body, literals;
+  int32_t numbers[8];
+  int64_t prologue, body, literals;
 } written_t;
 
 enum { TIME_VALUE, GAIN, PROFILE };                                       /* references */
