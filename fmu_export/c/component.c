@@ -36,8 +36,7 @@ static void drop_plan(component_t *c, long i) {
 static void free_component(component_t *c) {
   if (!c) return;
   for (long i = 0; c->live && i < c->model->n_contacts; i++) drop_plan(c, i);
-  free(c->own), free(c->live), free(c->scene);
-  free(c->grows), free(c->tangents), free(c->registers), free(c->along);
+  free(c->own), free(c->live), free(c->scene), free(c->grows);
   free_model(c->model);
   free(c);
 }
@@ -63,19 +62,17 @@ static const char *make_component(component_t *c, const char *resources) {
   const char *wrong;
   if (!(c->model = read_model(resources, &wrong))) return wrong;
   const model_t *m = c->model;
-  const size_t registers = (size_t)m->head->registers;
+  const size_t registers = (size_t)m->head->registers, values = (size_t)m->n_values;
   c->engine = contact_engine();
   c->own = new_saved(m);
   c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
   /* what lies there takes no more room than in the model's data, but for windows that are inputs */
   const size_t scene = (size_t)m->head->scene.count;
   c->scene = malloc((scene + (size_t)m->head->size + 3 * WINDOW_SIZE) * sizeof(double));
-  c->grows = malloc((size_t)m->n_values * sizeof *c->grows);
-  c->tangents = malloc(registers * sizeof *c->tangents);
-  c->registers = malloc(registers * sizeof *c->registers);
-  c->along = malloc(registers * sizeof *c->along);
-  if (!c->own || !c->live || !c->scene || !c->grows || !c->tangents || !c->registers || !c->along)
-    return "no memory";
+  c->grows = malloc((values + 2 * registers) * sizeof *c->grows + registers * sizeof(double));
+  if (!c->own || !c->live || !c->scene || !c->grows) return "no memory";
+  c->tangents = c->grows + values, c->along = c->tangents + registers;
+  c->registers = (double *)(c->along + registers);
   memcpy(c->scene, m->scene, scene * sizeof *c->scene);
   c->scene[S_CONTACTS] = 1, c->scene[S_PANELS] = MOST_PANELS;
   c->room = c->scene + scene;
