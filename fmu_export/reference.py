@@ -7,12 +7,12 @@ of FMI-LS-REF.
 from __future__ import annotations
 
 import os
-import zipfile
 from pathlib import Path
 
 import fmpy
 import numpy as np
 
+from contact_system.archives import opened
 from contact_system.errors import ContactSystemError
 from contact_system.plan import plan
 from contact_system.scene import Scene
@@ -61,11 +61,8 @@ def check_fmu(path: str | os.PathLike[str], bar: float = 1e-10) -> float:
     ContactSystemError
         It is greater than the bar, or there are no reference results.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            text = archive.read(RESULTS_FILE).decode()
-    except (OSError, KeyError, zipfile.BadZipFile) as error:
-        raise ContactSystemError(f"{path}: no reference results can be read: {error}") from None
+    with opened(path, "an FMU with reference results") as archive:
+        text = archive.read(RESULTS_FILE).decode()
     names, *rows = (line.split(",") for line in text.splitlines())
     wanted = np.array(rows, dtype=float)
     known = {v.name for v in fmpy.read_model_description(str(path)).modelVariables}
