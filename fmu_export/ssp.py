@@ -55,9 +55,8 @@ def export_ssp(
         Something else than scenes and FMUs, variables that models do not have, and what
         `export_fmu` refuses.
     """
-    if not (
-        isinstance(models, Mapping) and models and all(isinstance(n, str) and n for n in models)
-    ):
+    named = isinstance(models, Mapping) and all(isinstance(n, str) and n for n in models)
+    if not (named and models):
         raise ContactSystemError(
             f'models = {models!r:.80}: give Scenes or paths of FMUs by name: {{"left": scene}}'
         )
