@@ -14,11 +14,6 @@
 #include "resource.c"
 #endif
 
-#if defined(_WIN32)
-#define FMI_EXPORT __declspec(dllexport)
-#else
-#define FMI_EXPORT __attribute__((visibility("default")))
-#endif
 #if defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wunused-parameter" /* the standard's signatures, from here on */
 #endif
@@ -65,18 +60,18 @@ static status_t allowed(component_t *c, int phases) {
   if (!c->now->stepping) REFUSE("the instance was made for Model Exchange")
 /* What only leads from some states to another; what there is not; what is asked of no variable */
 #define LEADS_TO(phase_after, name, begin)                                                         \
-  FMI_EXPORT status_t FMI(name)(void *instance) {                                                  \
+  EXPORT status_t FMI(name)(void *instance) {                                                      \
     begin;                                                                                         \
     c->now->phase = phase_after;                                                                   \
     return OK;                                                                                     \
   }
 #define NOT_THERE(name, words, ...)                                                                \
-  FMI_EXPORT status_t FMI(name)(__VA_ARGS__) {                                                     \
+  EXPORT status_t FMI(name)(__VA_ARGS__) {                                                         \
     BEGIN(ANY);                                                                                    \
     REFUSE(words);                                                                                 \
   }
 #define OF_NOTHING(name, begin, words, ...)                                                        \
-  FMI_EXPORT status_t FMI(name)(void *instance, const unsigned vr[], size_t count, __VA_ARGS__) {  \
+  EXPORT status_t FMI(name)(void *instance, const unsigned vr[], size_t count, __VA_ARGS__) {      \
     begin;                                                                                         \
     if (count) REFUSE(words);                                                                      \
     return OK;                                                                                     \
@@ -105,13 +100,13 @@ static component_t *instantiate(const char *called, const char *name, const char
   return c;
 }
 
-FMI_EXPORT void FMI(FreeInstance)(void *instance) { free_component(instance); }
+EXPORT void FMI(FreeInstance)(void *instance) { free_component(instance); }
 
 /* The importer is told why something is refused in any case, as FMI 2.0.5 expects of errors
    (section 2.1.3): importers say no more than a status. FMI 3.0.2 silences errors with loggingOn =
    false, but its successor takes that back, and the Reference FMUs never did. */
-FMI_EXPORT status_t FMI(SetDebugLogging)(void *instance, BOOLEAN on, size_t count,
-                                         const char *const categories[]) {
+EXPORT status_t FMI(SetDebugLogging)(void *instance, BOOLEAN on, size_t count,
+                                     const char *const categories[]) {
   BEGIN(ANY);
   for (size_t k = 0; k < count; k++) {
     const char *given = categories && categories[k] ? categories[k] : "";
@@ -141,7 +136,7 @@ static status_t enter_mode(component_t *c, int phase) {
   return OK;
 }
 
-FMI_EXPORT status_t FMI(ExitInitializationMode)(void *instance) {
+EXPORT status_t FMI(ExitInitializationMode)(void *instance) {
   BEGIN(INITIALIZATION);
   if (start(c)) return FAILED;
   c->now->phase = c->now->stepping && !c->uses_events ? STEP : EVENT;
@@ -150,7 +145,7 @@ FMI_EXPORT status_t FMI(ExitInitializationMode)(void *instance) {
 
 LEADS_TO(TERMINATED, Terminate, BEGIN(EVENT | CONTINUOUS | STEP))
 
-FMI_EXPORT status_t FMI(Reset)(void *instance) {
+EXPORT status_t FMI(Reset)(void *instance) {
   BEGIN(ANY);
   reset(c, c->now->stepping);
   return OK;
@@ -205,8 +200,8 @@ static status_t check_one(component_t *c, unsigned reference, double value) {
   return check_value(c, reference, value);
 }
 
-FMI_EXPORT status_t FMI(GetReal)(void *instance, const unsigned vr[], size_t count,
-                                 double value[] ROOM(n)) {
+EXPORT status_t FMI(GetReal)(void *instance, const unsigned vr[], size_t count,
+                             double value[] ROOM(n)) {
   BEGIN(GETTABLE);
   if (check_values(c, vr, count, value, ROOM_OF(count, n))) return FAILED;
   status_t worst = OK;
@@ -221,8 +216,8 @@ FMI_EXPORT status_t FMI(GetReal)(void *instance, const unsigned vr[], size_t cou
 }
 
 /* All are set, or none. */
-FMI_EXPORT status_t FMI(SetReal)(void *instance, const unsigned vr[], size_t count,
-                                 const double value[] ROOM(n)) {
+EXPORT status_t FMI(SetReal)(void *instance, const unsigned vr[], size_t count,
+                             const double value[] ROOM(n)) {
   BEGIN(SETTABLE);
   if (check_values(c, vr, count, value, ROOM_OF(count, n))) return FAILED;
   const double *next = value;
@@ -292,10 +287,10 @@ static status_t products(component_t *c, int transposed, const unsigned unknowns
   return s;
 }
 
-FMI_EXPORT status_t FMI(GetDirectionalDerivative)(void *instance, const unsigned unknowns[],
-                                                  size_t n_unknowns, const unsigned knowns[],
-                                                  size_t n_knowns, const double seed[] ROOM(n_seed),
-                                                  double value[] ROOM(n)) {
+EXPORT status_t FMI(GetDirectionalDerivative)(void *instance, const unsigned unknowns[],
+                                              size_t n_unknowns, const unsigned knowns[],
+                                              size_t n_knowns, const double seed[] ROOM(n_seed),
+                                              double value[] ROOM(n)) {
   BEGIN(RUNNING);
   return products(c, 0, unknowns, n_unknowns, knowns, n_knowns, seed, ROOM_OF(n_knowns, n_seed),
                   value, ROOM_OF(n_unknowns, n));
@@ -303,13 +298,13 @@ FMI_EXPORT status_t FMI(GetDirectionalDerivative)(void *instance, const unsigned
 
 /* --- FMU states ------------------------------------------------------------------------------- */
 
-FMI_EXPORT status_t FMI(GetFMUState)(void *instance, void **state) {
+EXPORT status_t FMI(GetFMUState)(void *instance, void **state) {
   BEGIN(ANY);
   NEEDS(state);
   return save(c, state);
 }
 
-FMI_EXPORT status_t FMI(SetFMUState)(void *instance, void *state) {
+EXPORT status_t FMI(SetFMUState)(void *instance, void *state) {
   BEGIN(ANY);
   const saved_t *s = saved(c, state);
   if (!s) return FAILED;
@@ -323,7 +318,7 @@ FMI_EXPORT status_t FMI(SetFMUState)(void *instance, void *state) {
   return OK;
 }
 
-FMI_EXPORT status_t FMI(FreeFMUState)(void *instance, void **state) {
+EXPORT status_t FMI(FreeFMUState)(void *instance, void **state) {
   BEGIN(ANY);
   if (!state || !*state) return OK;
   if (!saved(c, *state)) return FAILED;
@@ -332,7 +327,7 @@ FMI_EXPORT status_t FMI(FreeFMUState)(void *instance, void **state) {
   return OK;
 }
 
-FMI_EXPORT status_t FMI(SerializedFMUStateSize)(void *instance, void *state, size_t *size) {
+EXPORT status_t FMI(SerializedFMUStateSize)(void *instance, void *state, size_t *size) {
   BEGIN(ANY);
   NEEDS(size);
   if (!saved(c, state)) return FAILED;
@@ -340,7 +335,7 @@ FMI_EXPORT status_t FMI(SerializedFMUStateSize)(void *instance, void *state, siz
   return OK;
 }
 
-FMI_EXPORT status_t FMI(SerializeFMUState)(void *instance, void *state, BYTE bytes[], size_t size) {
+EXPORT status_t FMI(SerializeFMUState)(void *instance, void *state, BYTE bytes[], size_t size) {
   BEGIN(ANY);
   saved_t *s = saved(c, state);
   if (!s) return FAILED;
@@ -350,8 +345,8 @@ FMI_EXPORT status_t FMI(SerializeFMUState)(void *instance, void *state, BYTE byt
   return OK;
 }
 
-FMI_EXPORT status_t FMI(DeserializeFMUState)(void *instance, const BYTE bytes[], size_t size,
-                                             void **state) {
+EXPORT status_t FMI(DeserializeFMUState)(void *instance, const BYTE bytes[], size_t size,
+                                         void **state) {
   BEGIN(ANY);
   NEEDS(state);
   return read_state(c, bytes, size, state);
@@ -361,8 +356,8 @@ FMI_EXPORT status_t FMI(DeserializeFMUState)(void *instance, const BYTE bytes[],
 
 LEADS_TO(CONTINUOUS, EnterContinuousTimeMode, SYSTEM_ONLY(EVENT))
 
-FMI_EXPORT status_t FMI(CompletedIntegratorStep)(void *instance, BOOLEAN no_return,
-                                                 BOOLEAN *enter_event_mode, BOOLEAN *terminate) {
+EXPORT status_t FMI(CompletedIntegratorStep)(void *instance, BOOLEAN no_return,
+                                             BOOLEAN *enter_event_mode, BOOLEAN *terminate) {
   SYSTEM_ONLY(CONTINUOUS);
   NEEDS(enter_event_mode && terminate);
   /* inputs jump that the solver's evaluations have held: it is to restart */
@@ -372,7 +367,7 @@ FMI_EXPORT status_t FMI(CompletedIntegratorStep)(void *instance, BOOLEAN no_retu
   return OK;
 }
 
-FMI_EXPORT status_t FMI(SetTime)(void *instance, double time) {
+EXPORT status_t FMI(SetTime)(void *instance, double time) {
   SYSTEM_ONLY(EVENT | CONTINUOUS);
   if (!(fabs(time) < 1e300)) REFUSE("t = %g s is refused", time);
   set_time(c, time);
@@ -381,7 +376,7 @@ FMI_EXPORT status_t FMI(SetTime)(void *instance, double time) {
 
 /* What takes or gives a number for each continuous state */
 #define OF_STATES(name, phases, type, action)                                                      \
-  FMI_EXPORT status_t FMI(name)(void *instance, type x[], size_t count) {                          \
+  EXPORT status_t FMI(name)(void *instance, type x[], size_t count) {                              \
     SYSTEM_ONLY(phases);                                                                           \
     if (!x || count != (size_t)c->model->n_states)                                                 \
       REFUSE("a pointer is missing, or the count is not %ld", c->model->n_states);                 \
@@ -393,7 +388,7 @@ OF_STATES(GetContinuousStateDerivatives, RUNNING, double, get_states(c, x, 1))
 OF_STATES(GetNominalsOfContinuousStates, ANY, double,
           (memcpy(x, data_at(c->model, c->model->head->nominals), count * sizeof *x), OK))
 
-FMI_EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], size_t count) {
+EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], size_t count) {
   SYSTEM_ONLY(RUNNING);
   if (count) REFUSE("there are none");
   return OK;

@@ -59,25 +59,25 @@ static void log_text(component_t *c, status_t status, const char *text) {
   ((fmi2CallbackLogger)c->log)(c->environment, c->name, (int)status, category_of[status], format);
 }
 
-FMI_EXPORT const char *FMI(GetTypesPlatform)(void) { return "default"; }
+EXPORT const char *FMI(GetTypesPlatform)(void) { return "default"; }
 
-FMI_EXPORT const char *FMI(GetVersion)(void) { return "2.0"; }
+EXPORT const char *FMI(GetVersion)(void) { return "2.0"; }
 
-FMI_EXPORT void *FMI(Instantiate)(const char *name, fmi2Type type, const char *guid,
-                                  const char *location, const fmi2CallbackFunctions *functions,
-                                  int visible, int logging) {
+EXPORT void *FMI(Instantiate)(const char *name, fmi2Type type, const char *guid,
+                              const char *location, const fmi2CallbackFunctions *functions,
+                              int visible, int logging) {
   if (!functions) return NULL;
   return instantiate(__func__, name, guid, location, (void (*)(void))functions->logger,
                      functions->componentEnvironment, type == fmi2CoSimulation);
 }
 
-FMI_EXPORT status_t FMI(SetupExperiment)(void *instance, int tolerance_defined, double tolerance,
-                                         double start_time, int stop_defined, double stop) {
+EXPORT status_t FMI(SetupExperiment)(void *instance, int tolerance_defined, double tolerance,
+                                     double start_time, int stop_defined, double stop) {
   BEGIN(INSTANTIATED);
   return set_times(c, start_time, stop_defined, stop);
 }
 
-FMI_EXPORT status_t FMI(EnterInitializationMode)(void *instance) {
+EXPORT status_t FMI(EnterInitializationMode)(void *instance) {
   BEGIN(INSTANTIATED);
   return enter_mode(c, INITIALIZATION);
 }
@@ -90,12 +90,12 @@ NO_VARIABLES(String, const char *)
 
 /* --- Model Exchange --------------------------------------------------------------------------- */
 
-FMI_EXPORT status_t FMI(EnterEventMode)(void *instance) {
+EXPORT status_t FMI(EnterEventMode)(void *instance) {
   BEGIN(EVENT | CONTINUOUS);
   return enter_mode(c, EVENT);
 }
 
-FMI_EXPORT status_t FMI(NewDiscreteStates)(void *instance, fmi2EventInfo *info) {
+EXPORT status_t FMI(NewDiscreteStates)(void *instance, fmi2EventInfo *info) {
   BEGIN(EVENT);
   NEEDS(info);
   info->newDiscreteStatesNeeded = info->nominalsOfContinuousStatesChanged = 0;
@@ -112,7 +112,7 @@ OF_NOTHING(SetRealInputDerivatives, STEPPING_ONLY(INSTANTIATED | INITIALIZATION 
 OF_NOTHING(GetRealOutputDerivatives, STEPPING_ONLY(STEP | TERMINATED),
            "derivatives are outputs of their own, der(...)", const int order[], double value[])
 
-FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, int no_return) {
+EXPORT status_t FMI(DoStep)(void *instance, double from, double size, int no_return) {
   BEGIN(STEP);
   if (check_step(c, from, size)) return FAILED;
   return step(c, from + size);
@@ -122,7 +122,7 @@ NOT_THERE(CancelStep, "no step is under way", void *instance)
 
 /* What is asked of a step that is over; only `known`, if any, has a value. */
 #define STATUS_OF_STEP(name, type, known, found, words)                                            \
-  FMI_EXPORT status_t FMI(name)(void *instance, const fmi2StatusKind kind, type *value) {          \
+  EXPORT status_t FMI(name)(void *instance, const fmi2StatusKind kind, type *value) {              \
     STEPPING_ONLY(STEP | TERMINATED);                                                              \
     if (!(known) || !value) return report(c, DISCARD, words);                                      \
     *value = found;                                                                                \

@@ -30,30 +30,32 @@ static void log_text(component_t *c, status_t status, const char *text) {
   if (c->log) ((fmi3LogMessageCallback)c->log)(c->environment, status, category_of[status], text);
 }
 
-FMI_EXPORT const char *FMI(GetVersion)(void) { return "3.0"; }
+EXPORT const char *FMI(GetVersion)(void) { return "3.0"; }
 
-FMI_EXPORT void *FMI(InstantiateModelExchange)(const char *name, const char *token,
-                                               const char *resources, _Bool visible, _Bool logging,
-                                               void *environment, fmi3LogMessageCallback log) {
+EXPORT void *FMI(InstantiateModelExchange)(const char *name, const char *token,
+                                           const char *resources, _Bool visible, _Bool logging,
+                                           void *environment, fmi3LogMessageCallback log) {
   return instantiate(__func__, name, token, resources, (void (*)(void))log, environment, 0);
 }
 
-FMI_EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *token,
-                                              const char *resources, _Bool visible, _Bool logging,
-                                              _Bool event_mode, _Bool early_return,
-                                              const unsigned required[], size_t n_required,
-                                              void *environment, fmi3LogMessageCallback log,
-                                              fmi3IntermediateUpdateCallback update) {
+EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *token,
+                                          const char *resources, _Bool visible, _Bool logging,
+                                          _Bool event_mode, _Bool early_return,
+                                          const unsigned required[], size_t n_required,
+                                          void *environment, fmi3LogMessageCallback log,
+                                          fmi3IntermediateUpdateCallback update) {
   component_t *c =
       instantiate(__func__, name, token, resources, (void (*)(void))log, environment, 1);
   if (c) c->uses_events = event_mode, c->early_return = early_return;
   return c;
 }
 
-FMI_EXPORT void *FMI(InstantiateScheduledExecution)(
-    const char *name, const char *token, const char *resources, _Bool visible, _Bool logging,
-    void *environment, fmi3LogMessageCallback log, fmi3ClockUpdateCallback clock,
-    fmi3LockPreemptionCallback lock, fmi3UnlockPreemptionCallback unlock) {
+EXPORT void *FMI(InstantiateScheduledExecution)(const char *name, const char *token,
+                                                const char *resources, _Bool visible, _Bool logging,
+                                                void *environment, fmi3LogMessageCallback log,
+                                                fmi3ClockUpdateCallback clock,
+                                                fmi3LockPreemptionCallback lock,
+                                                fmi3UnlockPreemptionCallback unlock) {
   if (log) log(environment, FAILED, category_of[FAILED], "this model has no Scheduled Execution");
   return NULL;
 }
@@ -63,9 +65,9 @@ FMI_EXPORT void *FMI(InstantiateScheduledExecution)(
 NOT_THERE(EnterConfigurationMode, "there are no structural parameters", void *instance)
 NOT_THERE(ExitConfigurationMode, "there are no structural parameters", void *instance)
 
-FMI_EXPORT status_t FMI(EnterInitializationMode)(void *instance, _Bool tolerance_defined,
-                                                 double tolerance, double start_time,
-                                                 _Bool stop_defined, double stop) {
+EXPORT status_t FMI(EnterInitializationMode)(void *instance, _Bool tolerance_defined,
+                                             double tolerance, double start_time,
+                                             _Bool stop_defined, double stop) {
   BEGIN(INSTANTIATED);
   if (set_times(c, start_time, stop_defined, stop)) return FAILED;
   return enter_mode(c, INITIALIZATION);
@@ -108,30 +110,30 @@ NOT_THERE(GetVariableDependencies, "dependencies are given in the model descript
           void *instance, unsigned dependent, size_t elements[], unsigned independents[],
           size_t independent_elements[], fmi3DependencyKind of_kind[], size_t count)
 
-FMI_EXPORT status_t FMI(GetAdjointDerivative)(void *instance, const unsigned unknowns[],
-                                              size_t n_unknowns, const unsigned knowns[],
-                                              size_t n_knowns, const double seed[], size_t n_seed,
-                                              double value[], size_t n) {
+EXPORT status_t FMI(GetAdjointDerivative)(void *instance, const unsigned unknowns[],
+                                          size_t n_unknowns, const unsigned knowns[],
+                                          size_t n_knowns, const double seed[], size_t n_seed,
+                                          double value[], size_t n) {
   BEGIN(RUNNING);
   return products(c, 1, unknowns, n_unknowns, knowns, n_knowns, seed, n_seed, value, n);
 }
 
 /* --- events ----------------------------------------------------------------------------------- */
 
-FMI_EXPORT status_t FMI(EnterEventMode)(void *instance) {
+EXPORT status_t FMI(EnterEventMode)(void *instance) {
   BEGIN(CONTINUOUS | STEP);
   if (c->now->stepping && !c->uses_events) REFUSE("the instance was made without event mode");
   return enter_mode(c, EVENT);
 }
 
-FMI_EXPORT status_t FMI(EvaluateDiscreteStates)(void *instance) {
+EXPORT status_t FMI(EvaluateDiscreteStates)(void *instance) {
   BEGIN(INITIALIZATION | EVENT);
   return OK;
 }
 
-FMI_EXPORT status_t FMI(UpdateDiscreteStates)(void *instance, _Bool *again, _Bool *terminate,
-                                              _Bool *nominals, _Bool *values, _Bool *next_defined,
-                                              double *next_time) {
+EXPORT status_t FMI(UpdateDiscreteStates)(void *instance, _Bool *again, _Bool *terminate,
+                                          _Bool *nominals, _Bool *values, _Bool *next_defined,
+                                          double *next_time) {
   BEGIN(EVENT);
   NEEDS(again && terminate && nominals && values && next_defined && next_time);
   *again = *nominals = 0;
@@ -142,7 +144,7 @@ FMI_EXPORT status_t FMI(UpdateDiscreteStates)(void *instance, _Bool *again, _Boo
 /* --- Model Exchange --------------------------------------------------------------------------- */
 
 #define COUNT_OF(name, found)                                                                      \
-  FMI_EXPORT status_t FMI(name)(void *instance, size_t *count) {                                   \
+  EXPORT status_t FMI(name)(void *instance, size_t *count) {                                       \
     SYSTEM_ONLY(ANY);                                                                              \
     NEEDS(count);                                                                                  \
     *count = found;                                                                                \
@@ -158,8 +160,8 @@ OF_NOTHING(GetOutputDerivatives, STEPPING_ONLY(STEP | TERMINATED),
            "derivatives are outputs of their own, der(...)", const int32_t orders[], double value[],
            size_t n)
 
-FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool no_return,
-                                _Bool *event, _Bool *terminate, _Bool *early, double *last_time) {
+EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool no_return, _Bool *event,
+                            _Bool *terminate, _Bool *early, double *last_time) {
   BEGIN(STEP);
   const double end = from + size, limit = c->now->limit;
   NEEDS(event && terminate && early && last_time);
