@@ -30,31 +30,3 @@ static saved_t *saved(component_t *c, void *state) {
          "has not been freed");
   return NULL;
 }
-
-static status_t save(component_t *c, void **state) {
-  saved_t *s = *state ? saved(c, *state) : new_saved(c->model);
-  if (!s) return *state ? FAILED : report(c, FAILED, "no memory for an FMU state");
-  memcpy(s, c->own, c->own->length);
-  *state = s;
-  return OK;
-}
-
-/* A state from its bytes. The checksum guards against damage, not against forgery. */
-static status_t read_state(component_t *c, const void *bytes, size_t count, void **state) {
-  const saved_t *own = c->own;
-  saved_t *s = new_saved(c->model);
-  const char *wrong = NULL;
-  if (!s)
-    wrong = "there is no memory";
-  else if (!bytes || count != own->length || memcmp(bytes, own, offsetof(saved_t, checksum)))
-    wrong = "it belongs to another model or another version";
-  else if (memcpy(s, bytes, count), s->checksum != checksum_of(c->model, s))
-    wrong = "its checksum does not match; it has been changed";
-  if (wrong) {
-    free(s);
-    REFUSE("serialized FMU state refused: %s; use the bytes that this FMU wrote, as they are",
-           wrong);
-  }
-  *state = s; /* what was there before is nothing to read: it may be uninitialized */
-  return OK;
-}
