@@ -44,8 +44,7 @@ static const char *sense(component_t *c, long i, const double states[N_STATES],
   return all_finite(*found, N_STATES)
              ? NULL
              : "it is measured at a pole or an umbilic of a chart, where there is no contact "
-               "frame; "
-               "measure a moment later";
+               "frame; measure a moment later";
 }
 
 /* The segment s of contact i begins now at these states; root: of the metrics. Returns what is

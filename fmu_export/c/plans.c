@@ -164,8 +164,7 @@ static status_t refuse_motion(component_t *c, status_t status, long i, const cha
               ? "a step is too long, it would take more than 20000 pieces of motion; make shorter "
                 "steps"
               : "the path reaches a singular point of its chart or its surface, or moves too fast "
-                "for "
-                "double precision; set smaller inputs, end before or start elsewhere";
+                "for double precision; set smaller inputs, end before or start elsewhere";
   return report(c, status, "contact[%ld].%s: no %s to t = %.17g s%s: %s", i + 1, side, what, target,
                 where, why);
 }

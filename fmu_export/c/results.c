@@ -77,33 +77,32 @@ static status_t get_values(component_t *c, unsigned reference, long count, doubl
 
 /* Windows on contact i act as its inputs do. */
 static void grow_windows(component_t *c, long i) {
-  const long scale = (long)c->model->head->scale;
   for (long k = 0; k < c->model->n_windows; k++)
     for (int a = 0; a < 2 && acts(c, k, i); a++) {
       const window_t *w = c->model->windows + k;
       const long at = (long)w->values + 2 + a;
       const long input = at_of(c->model, i, OF_INPUTS) + 2 * (long)w->slot + a;
       for (int d = 0; d < L; d++)
-        c->grows[input][d] += c->value[scale] * c->grows[at][d] + c->value[at] * c->grows[scale][d];
+        c->grows[input][d] += c->value[c->model->head->scale] * c->grows[at][d] +
+                              c->value[at] * c->grows[c->model->head->scale][d];
     }
 }
 
 /* The results of contact i, from its point and constants */
 static void grow_results(component_t *c, long i) {
-  const long n = n_results(c->model, i);
+  const long n = at_of(c->model, i, GROUPS) - at_of(c->model, i, OF_RATES);
   const table_t *t = system_of(c->model, i);
   const int64_t *column = data_at(c->model, c->model->contacts[i].columns);
   double (*results)[L] = c->grows + at_of(c->model, i, OF_RATES);
   const size_t room = (size_t)n * sizeof *results;
   int any = 0;
   memset(results, 0, room);
+  /* of a leg's own numbers and of literals nothing grows */
+  memset(c->tangents, 0, (size_t)(t->first_lit + t->n_lit) * sizeof *c->tangents);
   for (long r = 0; r < t->n_in + t->n_const; r++)
-    for (int d = 0; d < L && column[r] >= 0; d++) any |= c->grows[column[r]][d] != 0.0;
+    for (int d = 0; d < L && column[r] >= 0; d++)
+      any |= (c->tangents[r][d] = c->grows[column[r]][d]) != 0.0;
   if (any) {
-    /* of a leg's own numbers and of literals nothing grows */
-    memset(c->tangents, 0, (size_t)(t->first_lit + t->n_lit) * sizeof *c->tangents);
-    for (long r = 0; r < t->n_in + t->n_const; r++)
-      if (column[r] >= 0) memcpy(c->tangents[r], c->grows[column[r]], sizeof *c->tangents);
     UNTRAPPED({
       double *r = load_system(c, i, c->tangents);
       c->engine->along(&(program_t){t->prologue, r}, c->tangents);

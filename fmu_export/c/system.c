@@ -3,17 +3,13 @@
    point: time, states, disturbances (6); constants: gain, profile, numbers of finger and object;
    results: the values from `rate` on. */
 
-static long n_results(const model_t *m, long i) {
-  return at_of(m, i, GROUPS) - at_of(m, i, OF_RATES);
-}
-
 /* Inputs and windows on contact i */
 static void acting_on(const component_t *c, long i, double out[DISTURBANCES]) {
-  const double scale = c->value[c->model->head->scale];
   memcpy(out, values_of(c, i, OF_INPUTS), DISTURBANCES * sizeof *out);
   for (long k = 0; k < c->model->n_windows; k++)
     for (int a = 0; a < 2 && acts(c, k, i); a++)
-      out[2 * c->model->windows[k].slot + a] += scale * window_values(c, k)[2 + a];
+      out[2 * c->model->windows[k].slot + a] +=
+          c->value[c->model->head->scale] * window_values(c, k)[2 + a];
 }
 
 /* Loads the equations of contact i; returns their registers. Before the start, frames are put on
@@ -42,29 +38,20 @@ static void no_slip(const model_t *m, long i, double *x) {
   x[states_of(m, i) - 2] = x[states_of(m, i) - 1] = 0.0;
 }
 
-/* Whether slip's rates are infinite, and no acceleration is to blame. Solvers look at a rest in
-   mid-motion before slip is left behind there. */
-static int has_no_rate(const component_t *c, long i) {
-  if (!leaves_slip_behind(c, i)) return 0;
-  double w[DISTURBANCES];
-  acting_on(c, i, w);
-  return w[0] == 0.0 && w[1] == 0.0 && w[2] == 0.0 && w[3] == 0.0;
-}
-
-/* The results of contact i at its states */
-static const double *run_system(component_t *c, long i) {
-  const table_t *t = system_of(c->model, i);
-  UNTRAPPED(c->engine->step(&(program_t){t->body, load_system(c, i, NULL)}));
-  double *found = c->registers + t->first_out;
-  if (has_no_rate(c, i)) no_slip(c->model, i, found);
-  return found;
-}
-
 /* Results of contact i at its states, from one group on to another; with it the others are past */
 static void find_system(component_t *c, long i, int group, int end) {
-  const double *found = run_system(c, i) - at_of(c->model, i, OF_RATES);
-  for (long r = at_of(c->model, i, group); r < at_of(c->model, i, end); r++)
-    c->value[r] = past_end(c) ? NAN : found[r];
+  const model_t *m = c->model;
+  const table_t *t = system_of(m, i);
+  double *r;
+  UNTRAPPED(r = load_system(c, i, NULL); c->engine->step(&(program_t){t->body, r}));
+  double *found = r + t->first_out;
+  const double *w = r + 1 + states_of(m, i);
+  /* slip's rates are infinite, and no acceleration is to blame: solvers look at a rest in
+     mid-motion before slip is left behind there */
+  if (leaves_slip_behind(c, i) && w[0] == 0.0 && w[1] == 0.0 && w[2] == 0.0 && w[3] == 0.0)
+    no_slip(m, i, found);
+  for (long k = at_of(m, i, group); k < at_of(m, i, end); k++)
+    c->value[k] = past_end(c) ? NAN : found[k - at_of(m, i, OF_RATES)];
 }
 
 /* The path turns where a leg begins. What slips goes on slipping, but behind a rest under a law
