@@ -19,7 +19,7 @@ from contact_system.surfaces import Ellipsoid, Surface, Torus
 from .model import TOLERANCE, equations, frame_sizes, measured
 from .variables import Table
 
-VERSION, HEADER = 20261207, 27
+VERSION, HEADER = 20261208, 26
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
 _SURFACE, _TABLE = f"{1 + 2 * N_MOVED}q4i2d", "8i3q"
 
@@ -94,7 +94,7 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
     registers = (t.n_regs for t in (*data.tables, *moved))
     surfaces = [_surface(surface, data) for surface in engine.surfaces]
     head = [
-        *(table.first["scale"], max(registers), data.texts(*(v.name for v in rows))),
+        *(max(registers), data.texts(*(v.name for v in rows))),
         data.doubles(table.start_values),
         data.doubles([-np.inf if v.minimum is None else v.minimum for v in rows]),
         *(data.doubles([rows[r].nominal for r in table.states]), data.doubles(limits)),

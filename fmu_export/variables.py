@@ -40,7 +40,7 @@ class Table:
     rows : list of Variable
         Scalars, by reference, which counts them.
     first : dict
-        References of ``gain``, ``profile``, ``scale``, ``object``, ``finger 0`` and so on, and of
+        References of ``gain``, ``scale``, ``profile``, ``object``, ``finger 0`` and so on, and of
         ``windows``, four each: where their numbers begin.
     groups : list of list of int
         Of each contact, where its groups of numbers begin, and where the last one ends.
@@ -193,8 +193,7 @@ def _parameters(scene: Scene) -> dict[str, Iterable[Variable]]:
     ]
     text = "Factor of the scene's own disturbances; 0 leaves them out"
     scale = _parameter("disturbances.scale", 1.0, NONE, text)
-    found: dict[str, Iterable[Variable]]
-    found = {"gain": [gain], "profile": profile, "scale": [scale]}
+    found: dict[str, Iterable[Variable]] = {"gain": [gain], "scale": [scale], "profile": profile}
     found["object"] = _numbers("object", scene.object)
     for i, contact in enumerate(scene.contacts):
         found[f"finger {i}"] = _numbers(f"contact[{i + 1}].finger", contact.finger)

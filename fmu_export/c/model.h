@@ -18,7 +18,7 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_VERSION 20261207
+#define DATA_VERSION 20261208
 
 typedef struct {
   int64_t at, count;
@@ -28,7 +28,6 @@ typedef struct {
   int64_t version;    /* raised with each change; data is known by it */
   int64_t size;       /* numbers in all */
   int64_t checksum;   /* of what follows the header, 32 bits */
-  int64_t scale;      /* reference of the factor of the scene's windows */
   int64_t registers;  /* that tables have at most */
   int64_t names;      /* texts, one after the other, of all values */
   int64_t starts;     /* double, of all values, */
@@ -36,7 +35,7 @@ typedef struct {
   int64_t nominals;   /* double, of all states */
   int64_t sensor;     /* sensor_t */
   section_t scene;    /* double: the engine's buffer, at the start and without windows */
-  section_t values;   /* value_t: time, gain, the coefficients of the scene's profile, and others */
+  section_t values;   /* value_t: time, gain, the windows' factor, the scene's profile, others */
   section_t contacts; /* contact_t */
   section_t surfaces; /* shape_t */
   section_t tables;   /* written_t */
@@ -104,7 +103,7 @@ typedef struct {
   int64_t prologue, body, literals;
 } written_t;
 
-enum { TIME_VALUE, GAIN, PROFILE };                                       /* references */
+enum { TIME_VALUE, GAIN, SCALE, PROFILE };                                /* references */
 enum { CALCULATED, INDEPENDENT, CONSTANT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */
 enum { DISTURBANCES = 6, MOST_STATES = 6 + 6 + 4 }; /* of a contact: two frames, W_1 and V */
 

@@ -46,7 +46,7 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
     const window_t *w = m->windows + k;
     const double *v = window_values(c, k);
     if (w->contact == i && v[1] > s->begin)
-      put_window(&next, (double)w->slot, v[0], v[1], v + 2, c->value[m->head->scale]);
+      put_window(&next, (double)w->slot, v[0], v[1], v + 2, c->value[SCALE]);
   }
   for (int slot = 0; slot < 3; slot++)
     if (s->acting[2 * slot] != 0.0 || s->acting[2 * slot + 1] != 0.0)

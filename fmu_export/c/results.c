@@ -83,8 +83,7 @@ static void grow_windows(component_t *c, long i) {
       const long at = (long)w->values + 2 + a;
       const long input = at_of(c->model, i, OF_INPUTS) + 2 * (long)w->slot + a;
       for (int d = 0; d < L; d++)
-        c->grows[input][d] += c->value[c->model->head->scale] * c->grows[at][d] +
-                              c->value[at] * c->grows[c->model->head->scale][d];
+        c->grows[input][d] += c->value[SCALE] * c->grows[at][d] + c->value[at] * c->grows[SCALE][d];
     }
 }
 

@@ -8,8 +8,7 @@ static void acting_on(const component_t *c, long i, double out[DISTURBANCES]) {
   memcpy(out, values_of(c, i, OF_INPUTS), DISTURBANCES * sizeof *out);
   for (long k = 0; k < c->model->n_windows; k++)
     for (int a = 0; a < 2 && acts(c, k, i); a++)
-      out[2 * c->model->windows[k].slot + a] +=
-          c->value[c->model->head->scale] * window_values(c, k)[2 + a];
+      out[2 * c->model->windows[k].slot + a] += c->value[SCALE] * window_values(c, k)[2 + a];
 }
 
 /* Loads the equations of contact i; returns their registers. Before the start, frames are put on
