@@ -12,7 +12,7 @@ from contact_system.scene import Contact, Scene
 from contact_system.surfaces import Surface
 from contact_system.theory.gain import LAWS
 
-from .model import frame_sizes
+from .model import frame_size
 from .quantities import METRE, NONE, RADIAN, SECOND, Unit, Variable, chart_units, per_second
 
 SMALL = 0.1
@@ -127,10 +127,9 @@ class _Contact:
 
     def states(self) -> list[Variable]:
         rows: list[Variable] = []
-        sizes = frame_sizes(self.contact.finger, self.scene.object)
-        for (side, surface), size in zip(self.bodies, sizes):
+        for side, surface in self.bodies:
             stem, carried = f"{side}.frame", f"frame carried along on the {side}"
-            if size == 3:
+            if frame_size(surface) == 3:
                 own = self.places(stem, surface, carried)
                 text = f"Angle in the chart of the {carried}"
                 own += self.rows(f"{stem}.angle", (), RADIAN, text)
@@ -158,15 +157,13 @@ class _Contact:
 
     def motion(self) -> tuple[list[Variable], list[Variable]]:
         """Twist and pose of the finger relative to the object."""
-        there, origin = "in the object's frame", "rigin of the finger's frame in the object's frame"
-        turning, matrix = (
-            "Angular velocity of the finger",
-            "Rotation matrix from the finger's frame",
-        )
+        origin = "rigin of the finger's frame in the object's frame"
+        turning = "Angular velocity of the finger in the object's frame"
+        matrix = "Rotation matrix from the finger's frame to the object's"
         size = max(surface.size for _, surface in self.bodies)
-        twist = self.rows("twist.angular", XYZ, (0, -1, 1), f"{turning} {there}")
+        twist = self.rows("twist.angular", XYZ, (0, -1, 1), turning)
         twist += self.speeds("twist.linear", XYZ, f"Velocity of the o{origin}")
-        pose = self.rows("pose.rotation", CELLS, NONE, f"{matrix} to the object's")
+        pose = self.rows("pose.rotation", CELLS, NONE, matrix)
         pose += self.rows("pose.position", XYZ, METRE, f"O{origin}", nominal=size)
         return twist, pose
 

@@ -16,7 +16,7 @@ from contact_system.engine.binding import N_MOVED, SURFACES
 from contact_system.planning.motion import Buffer
 from contact_system.surfaces import Ellipsoid, Surface, Torus
 
-from .model import TOLERANCE, equations, frame_sizes, measured
+from .model import TOLERANCE, equations, frame_size, measured
 from .variables import Table
 
 VERSION, HEADER = 20261208, 26
@@ -81,8 +81,7 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
     owners = np.repeat([-1, *range(len(starts))], np.diff([0, *starts, len(rows)]))
     sizes = {v.reference: v.size for v in (table.joined if table.arrays else rows)}
     values = [
-        (owner, KINDS.index(v.kind), sizes.get(r, 0))
-        for r, (owner, v) in enumerate(zip(owners, rows))
+        (owner, KINDS.index(v.kind), sizes.get(v.reference, 0)) for owner, v in zip(owners, rows)
     ]
     windows = [
         (int(d.contact), d.slot, table.first["windows"] + 4 * k)
@@ -101,11 +100,9 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
         *(data.put(engine.numbers), len(engine.numbers) // 8),
         *(*data.rows(values), *data.rows(contacts), *data.rows(surfaces, _SURFACE)),
         *data.rows([data.instructions(t) for t in data.tables], _TABLE),
-        *(
-            *data.rows(windows),
-            *data.rows([(t,) for t in sorted(corners)], "d"),
-            *data.rows(orders),
-        ),
+        *data.rows(windows),
+        *data.rows([(t,) for t in sorted(corners)], "d"),
+        *data.rows(orders),
     ]
     known = repr((__version__, described, head)).encode(), *data.parts
     token = "{" + hashlib.sha256(b"".join(known)).hexdigest()[:32] + "}"
@@ -125,7 +122,7 @@ def _contact(table: Table, i: int, data: _Data) -> list[int]:
     columns, _ = data.rows([table.columns(i)])
     return [
         *(bool(contact.legs), table.first[f"finger {i}"], table.first["object"], *table.groups[i]),
-        *(columns, data.table(own), *frame_sizes(*pair), data.table(sensor), *unknowns),
+        *(columns, data.table(own), *map(frame_size, pair), data.table(sensor), *unknowns),
     ]
 
 

@@ -38,10 +38,9 @@ WORK_SIZE = 1.0
 """Stands for a body's size where `contact_function` asks for one and no result depends on it."""
 
 
-def frame_sizes(finger: Surface, obj: Surface) -> tuple[int, int]:
-    """Numbers of the frames among the states: 6 in space, 3 in a chart; inputs may disturb both."""
-    first, second = (6 if in_space(s, True) else 3 for s in (finger, obj))
-    return first, second
+def frame_size(surface: Surface) -> int:
+    """Numbers of a frame among the states: 6 in space, 3 in a chart; inputs may disturb it."""
+    return 6 if in_space(surface, True) else 3
 
 
 @per_structure
