@@ -271,11 +271,10 @@ def companions(table: Table, fmi_version: str) -> dict[str, bytes]:
     icon = "model.png" if fmi_version == "2.0" else "terminalsAndIcons/icon.png"
     name, text = escape(table.scene.name), escape(table.scene.description)
     page = Template(HERE.joinpath("page.html").read_text("utf-8"))
+    page_text = page.substitute(name=name, description=text, version=__version__)
     files = {
         icon: HERE.joinpath("icon.png").read_bytes(),
-        "documentation/index.html": page.substitute(
-            name=name, description=text, version=__version__
-        ).encode(),
+        "documentation/index.html": page_text.encode(),
     }
     license_text = metadata.distribution("contact-system").read_text("licenses/LICENSE")
     files["documentation/licenses/license.txt"] = (license_text or "MIT").encode()

@@ -220,10 +220,8 @@ def _window_rows(scene: Scene) -> Iterator[Variable]:
     for k, d in enumerate(scene.disturbances):
         surface = scene.contacts[int(d.contact)].finger if d.slot == 0 else scene.object
         units = [per_second(unit, 2 if d.slot < 2 else 1) for unit in chart_units(surface)]
-        own, what = (
-            f"disturbance[{k + 1}].",
-            f"disturbance of contact {int(d.contact) + 1}, {d.kind}",
-        )
+        own = f"disturbance[{k + 1}]."
+        what = f"disturbance of contact {int(d.contact) + 1}, {d.kind}"
         yield _parameter(f"{own}start", d.start, SECOND, f"Start of the {what}", minimum=0.0)
         yield _parameter(f"{own}stop", d.stop, SECOND, f"Stop of the {what}", minimum=0.0)
         for axis, unit, value in zip("uv", units, d.value):
