@@ -143,6 +143,7 @@ static int cover(component_t *c, long i, double target) {
   return 0;
 }
 
+#define PAST_END "sigma is negative from t = %.9g s on; end there, or change the profile"
 #define AT_REST                                                                                    \
   "sigma is zero, and an acceleration cannot act on a path that rests; accelerate "                \
   "while sigma > 0, or disturb the object's rates"

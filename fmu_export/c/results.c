@@ -32,11 +32,8 @@ static status_t refuse(component_t *c, unsigned reference) {
   const char *what = name_of(c->model, reference);
   const long i = (long)c->model->values[reference].owner;
   if (past_end(c))
-    return report(
-        c, DISCARD,
-        "%s has no value at t = %.17g s: sigma is negative from t = %.9g s on; end there, "
-        "or change the profile",
-        what, now->time, now->limit);
+    return report(c, DISCARD, "%s has no value at t = %.17g s: " PAST_END, what, now->time,
+                  now->limit);
   if (i >= 0 && rests(c, i))
     return report(c, DISCARD, "%s has no value at t = %.17g s: " AT_REST, what, now->time);
   return report(c, DISCARD,

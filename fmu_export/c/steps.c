@@ -86,11 +86,7 @@ static status_t step(component_t *c, double target) {
   memory_t *now = c->now;
   const long n = c->model->n_contacts;
   now->ended = target > now->limit && !reached(now->limit, target);
-  if (now->ended)
-    return report(c, DISCARD,
-                  "no step to t = %.9g s: sigma is negative from t = %.9g s on; end there, or "
-                  "change the profile",
-                  target, now->limit);
+  if (now->ended) return report(c, DISCARD, "no step to t = %.9g s: " PAST_END, target, now->limit);
   if (now->pending) enter_windows(c);
   for (long i = 0; i < n; i++)
     if (pushed_at_rest(c, i)) return report(c, DISCARD, "no step to t = %.9g s: " AT_REST, target);
