@@ -10,7 +10,7 @@ import numpy as np
 
 from ..checks import naming
 from ..engine import binding
-from ..engine.binding import Steer, Steered, address
+from ..engine.binding import Steer, address
 from ..errors import ChartSingularity, SceneError
 from ..planning.explanation import SIDES
 from ..scene import Contact, Scene
@@ -34,8 +34,10 @@ class Region(NamedTuple):
     widest: float
 
 
-class Aim:
+class Aim(Steer):
     """A contact's goal as numbers; raises a SceneError for an impossible one.
+
+    The engine's fields are explained in engine.h.
 
     Attributes
     ----------
@@ -45,30 +47,26 @@ class Aim:
         The bodies with a wanted place: 0 the finger, 1 the object.
     start, goal : ((3,), (3, 3)) for each body
         Point and contact frame.
-    angles : (float, float)
-        psi at the start and at the goal.
+    goal_psi : float
+        psi at the goal.
     pose : (4, 4) or None
         The finger's pose at the goal, if its rotation is wanted.
-    is_pose : bool
-        Whether the goal was given as a pose, so that its translation is wanted too.
     regions : list of Region
         Where the contact must stay.
-    pace, lean : float
-        Length and angle of ``finger_velocity``.
     sizes : list of float
         Sizes of the bodies, m; of a plane that of the other body.
-    unit, far : float
-        A typical length; straight distance of the goal, of a pose that of its origin: along s, m.
+    far : float
+        Straight distance of the goal, of a pose that of its origin, along s, m.
     """
 
     def __init__(self, scene: Scene, index: int, goal: Goal, longest: float | None):
         self.name = f"{scene.title}, contact {index}"
         self.contact = _steerable(scene, index, self.name)
         self.bodies = self.contact.finger, scene.object
-        self.angles = self.contact.angle, goal.angle or 0.0
+        self.psi, self.goal_psi = self.contact.angle, goal.angle or 0.0
         curvatures = self._place(goal)
-        pose, own = map(_pose, self.angles, (self.start, self.goal))
-        self.is_pose, self.pose = goal.pose is not None, None if goal.angle is None else own
+        pose, own = _pose(self.psi, self.start), _pose(self.goal_psi, self.goal)
+        self.pose = None if goal.angle is None else own
         if goal.pose is not None:
             self.pose = np.array(goal.pose)
         self.regions = self._regions(goal)
@@ -83,9 +81,19 @@ class Aim:
         widths = [region.widest for region in self.regions]
         unit = min([self._turning_length(*curvatures), *widths]) / self.pace
         self.unit = max(unit, 0.05 * self.far)  # far goals take long steps
-        self.start_off = float(np.linalg.norm(self.gap(np.array([x for x, _ in self.start]), pose)))
+        self.size = min(self.sizes)  # a greater one weighs places too little beside angles
+        self.longest = (1 - 1e-10) * (longest or 0.0)  # which paths meet to 1e-12 or so
+        self.parts = PARTS if self.regions else 1
+        self.turns, self.is_pose = self.pose is not None, goal.pose is not None
+        if self.pose is not None:
+            self.turn[:] = self.pose[:3, :3].ravel().tolist()
+            self.origin[:] = self.pose[:3, 3].tolist()
         self._followers: list[Follower] = []  # the engine points into them
-        self._data = self._numbers(longest)
+        for side in (0, 1):
+            self._tell_body(side)
+        for region in self.regions:
+            self.body[region.side].within[:] = [*region.centre.tolist(), region.radius]
+        self.start_off = float(np.linalg.norm(self.gap(np.array([x for x, _ in self.start]), pose)))
 
     @property
     def fewest(self) -> int:
@@ -103,12 +111,12 @@ class Aim:
         body and rad, (16); J^T J, lengths in multiples of ``unit``, (2 n, 2 n, 16).
         """
         rows, count = z.shape
-        data, tried = self._data, np.empty((rows, LANES))
+        tried = np.empty((rows, LANES))
         tried[:, :count] = z
-        data.tolerance, data.reached = tolerance, reached
+        self.tolerance, self.reached = tolerance, reached
         off, squares = np.full(LANES, math.inf), np.empty((rows, rows, LANES))
         out = address(tried), address(off), address(squares)
-        if binding.steer(ctypes.addressof(data), rows // 2, count, *out) < 0:
+        if binding.steer(ctypes.addressof(self), rows // 2, count, *out) < 0:
             raise MemoryError
         return tried, off, squares
 
@@ -183,30 +191,10 @@ class Aim:
             regions.append(Region(side, centre, radius, widest))
         return regions
 
-    def _numbers(self, longest: float | None) -> Steer:
-        data = Steer(
-            psi=self.angles[0],
-            lean=self.lean,
-            pace=self.pace,
-            unit=self.unit,
-            size=min(self.sizes),  # a greater one weighs places too little beside angles
-            longest=(1 - 1e-10) * (longest or 0.0),  # which paths meet to 1e-12 or so
-            turns=self.pose is not None,
-            is_pose=self.is_pose,
-            parts=PARTS if self.regions else 1,
-        )
-        if self.pose is not None:
-            data.turn[:] = self.pose[:3, :3].ravel().tolist()
-            data.origin[:] = self.pose[:3, 3].tolist()
-        for side in (0, 1):
-            data.body[side] = self._body(side)
-        for region in self.regions:
-            data.body[region.side].within[:] = [*region.centre.tolist(), region.radius]
-        return data
-
-    def _body(self, side: int) -> Steered:
-        body, (x, frame) = self.bodies[side], self.start[side]
-        data = Steered(wanted=side in self.sides)
+    def _tell_body(self, side: int) -> None:
+        """Fill the engine's fields of a body."""
+        data, body, (x, frame) = self.body[side], self.bodies[side], self.start[side]
+        data.wanted = side in self.sides
         data.start[:] = [*x.tolist(), *frame[:, :2].T.ravel().tolist()]
         data.goal[:] = self.goal[side][0].tolist()
         if body.chart.great_circles:
@@ -214,10 +202,9 @@ class Aim:
         elif not is_plane(body):
             follower = Follower(body)
             self._followers.append(follower)
-            data.how = ctypes.addressof(follower.how)
+            data.how = ctypes.addressof(follower)
             if not follower.space:
                 data.place[:] = [*getattr(self.contact, f"{SIDES[side]}_at"), 0.0]
-        return data
 
 
 def _pose(psi: float, both: list[tuple[Array, Array]]) -> Array:

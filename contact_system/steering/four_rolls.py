@@ -26,12 +26,12 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
     if not any(kinds) or aim.pose is None or aim.is_pose:
         return None
     ball, plane = kinds.index(True), kinds.index(False)
-    r, psi = aim.sizes[ball], aim.angles[0]
+    r, psi = aim.sizes[ball], aim.psi
     if below <= max(4 * math.pi * r / aim.pace, aim.far):
         return None
     # the ball's turn includes the change of psi, as rolling does not turn the plane's frame
     (a, b), (turned, moved) = _turn_of_ball(aim, ball), _move_on_plane(aim, plane)
-    half = cmath.rect(1.0, 0.5 * (psi - aim.angles[1])) * turned
+    half = cmath.rect(1.0, 0.5 * (psi - aim.goal_psi)) * turned
     a, b, wanted = a * half, b * half.conjugate() / r, 2 * turned * moved
     first = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 361)  # directions of the first roll
     way = np.exp(1j * first)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..checks import within
 from ..engine import binding
+from ..engine.binding import Followed
 from ..errors import SurfaceError
 from ..surfaces import Surface
 from ..theory.development import in_space
@@ -34,7 +35,7 @@ FARTHEST = 30.0  # longest geodesics searched, in sizes plus distances of the po
 MOST_SIZES = 1e4  # between points; the time of a search grows with their distance
 
 
-class Follower:
+class Follower(Followed):
     """Follows geodesics of a surface from states (6 or 3, n): see ``geodesics`` in engine.h.
 
     Attributes
@@ -43,14 +44,12 @@ class Follower:
         Whether states are in space, (x, p).
     detail : float
         Length over which the surface is nearly flat, m.
-    how : Followed
-        For the engine.
     """
 
     def __init__(self, surface: Surface):
         self.space = in_space(surface)
         self.detail = 0.3 * min(surface.bend, 0.5 * surface.size)
-        self.how = binding.Followed(
+        super().__init__(
             ctypes.addressof(surface.engine_data),
             surface.tables.geodesic.address,
             binding.address(surface.numbers),
@@ -58,7 +57,7 @@ class Follower:
             self.detail,
             surface.reach * surface.size / 8,
         )
-        self._surface = surface  # kept alive with its numbers
+        self.kept = surface  # alive, with its numbers
 
     def __call__(self, start: Array, length: Array, tolerance: Any, samples: int = 0) -> Array:
         """The ends: x, p, q, J, J', M, M' (13, n); or x and J at equal steps, (samples, 4, n)."""
@@ -68,7 +67,7 @@ class Follower:
         end, path = np.empty((13, n)), np.empty((samples, 4, n))
         arguments = address(start), address(length), address(tolerance), address(end)
         at_path = address(path) if samples else None
-        if binding.geodesics(ctypes.addressof(self.how), n, *arguments, samples, at_path):
+        if binding.geodesics(ctypes.addressof(self), n, *arguments, samples, at_path):
             raise MemoryError
         return path if samples else end
 
