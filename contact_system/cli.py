@@ -215,10 +215,10 @@ def _reach(args: argparse.Namespace) -> int:
 
 def _explore(args: argparse.Namespace) -> int:
     scene = load_scene(args.scene)
-    from .explorer.page import explore  # needs viser
+    from .explorer.page import Explorer  # needs viser
 
     folder = args.out or Path("results") / file_name(scene)
-    explore(scene, folder / f"{file_name(scene)}-explored.toml", args.port)
+    Explorer(scene, folder / f"{file_name(scene)}-explored.toml", args.port).run()
     return 0
 
 

@@ -12,7 +12,7 @@ import socket
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -50,21 +50,13 @@ WIDTH, BEND, DEPTH = 2e-3, 1e-3, 1.5e-3
 FRAME = 1 / 30  # s, between frames of an animation
 
 
-@dataclass
 class Sampled:
     """A plan at times (n,): points (n, contacts, 2, 3), poses (n, contacts, 4, 4), slip."""
 
-    plan: Plan
-    t: np.ndarray
-    points: np.ndarray
-    pose: np.ndarray
-    slip: np.ndarray
-
-    @classmethod
-    def of(cls, planned: Plan) -> Sampled:
-        t = np.linspace(planned.start, planned.end, SAMPLES)
-        results = planned.evaluate(t, "points", "pose", "slip_speed")
-        return cls(planned, t, results["points"], results["pose"], results["slip_speed"])
+    def __init__(self, planned: Plan):
+        self.plan, self.t = planned, np.linspace(planned.start, planned.end, SAMPLES)
+        results = planned.evaluate(self.t, "points", "pose", "slip_speed")
+        self.points, self.pose, self.slip = results.values()
 
 
 class Explorer:
@@ -92,7 +84,7 @@ class Explorer:
         self.knots: dict[tuple[int, int], np.ndarray] = {}
         self.clicked: tuple[np.ndarray, np.ndarray] | None = None
         self.now = scene.duration
-        self.shown = Sampled.of(plan(scene))
+        self.shown = Sampled(plan(scene))
         self.meshes: list[Mesh | None] = [None] * (1 + len(scene.contacts))  # object, fingers
         mesh = mesh_of(self.shown.plan, 1, range(len(scene.contacts)), CELLS)
         self.unit = 1.0 / (scene.object.size if mesh is None else mesh.size)
@@ -106,13 +98,17 @@ class Explorer:
         self._draw()
 
     def run(self) -> None:
-        """Serve until Ctrl-C."""
-        last = time.monotonic()
-        while True:
-            self.wake.wait(FRAME if self.playing else 0.5)
-            self.wake.clear()
-            elapsed, last = time.monotonic() - last, time.monotonic()
-            self.step(elapsed)
+        """Print the address, and serve until Ctrl-C."""
+        try:
+            tell(f"{self.base.title} at {self.address}; Ctrl-C ends it")
+            last = time.monotonic()
+            while True:
+                self.wake.wait(FRAME if self.playing else 0.5)
+                self.wake.clear()
+                elapsed, last = time.monotonic() - last, time.monotonic()
+                self.step(elapsed)
+        finally:
+            self.close()
 
     def ask(self, values: Mapping[Place, Any]) -> None:
         """Request the scene with these values in these places; the next step draws it."""
@@ -249,7 +245,7 @@ class Explorer:
         """Plan and draw the requested scene."""
         self.stale = False
         scene, text = self._requested()
-        self.shown = Sampled.of(plan(scene))
+        self.shown = Sampled(plan(scene))
         with self.server.atomic():  # otherwise the browser may draw twice
             self.said.content, self.forget.disabled = text, not self.goals
             self._draw_shapes()
@@ -392,16 +388,6 @@ class Explorer:
         camera.look_at, camera.up = middle, (0.0, 0.0, 1.0)
         camera.position = middle + best_view(mesh, curves)[:, 2]
         camera.near, camera.far = 0.01, 100.0
-
-
-def explore(scene: Scene, file: Path, port: int = 8080) -> None:
-    """Serve a scene's page until Ctrl-C, and print its address; see `Explorer`."""
-    explorer = Explorer(scene, file, port)
-    try:
-        tell(f"{scene.title} at {explorer.address}; Ctrl-C ends it")
-        explorer.run()
-    finally:
-        explorer.close()
 
 
 def _require_free(port: int) -> None:
