@@ -21,7 +21,6 @@ from ..checks import finite_number, one_of
 from ..engine.binding import sign_changes
 from ..errors import SceneError
 from .profile import (
-    Coefficients,
     Profile,
     as_time,
     clear_value,
@@ -68,10 +67,6 @@ class Law:
         """lam for numbers or symbols; growth is max(0, sigma'/sigma)."""
         lam = value * sigma**self.power
         return lam + growth if self.makes_up else lam
-
-    def integrand(self, value: float, sigma: Coefficients) -> Coefficients:
-        """Coefficients of value sigma^power from those of sigma, each rounded once."""
-        return rounded(exact_product((value,), *[sigma] * self.power))
 
 
 LAWS = {
@@ -165,7 +160,8 @@ class Gain:
         """
         t = as_time(t)
         sigma = profile.shifted(since) if since else profile.coefficients
-        total = polynomial(integral(self.row.integrand(self.value, sigma)), t - since)
+        lam = rounded(exact_product((self.value,), *[sigma] * self.row.power))
+        total = polynomial(integral(lam), t - since)
         if self.row.makes_up:
             last = float(np.max(t, initial=since))
             for start, stop in profile.growths(since, last):
