@@ -165,17 +165,14 @@ class ChartContact:
                 u, v = self._solution(low[0])[4 * side : 4 * side + 2].tolist()
                 raise passed(self._where, surface, (u, v))
 
-    def _output(self, name: str, t: np.ndarray) -> np.ndarray:
-        """An output of the system: (n_times, n)."""
-        system, interval = self._system, np.searchsorted(self._edges[1:-1], t, side="right")
-        given = t[None], self._solution(t), self._acting[interval].T, system.held0
-        return system.function(name)(*given, system.parameters).full().T
-
     def result(self, name: str, t: np.ndarray) -> np.ndarray:
         """A result of a plan for this contact: (n_times, ...)."""
         if not len(t):
             return np.empty((0, *SHAPES[name]))
-        values = self._output(OUTPUTS.get(name, name), t)
+        system, interval = self._system, np.searchsorted(self._edges[1:-1], t, side="right")
+        given = t[None], self._solution(t), self._acting[interval].T, system.held0
+        function = system.function(OUTPUTS.get(name, name))
+        values = function(*given, system.parameters).full().T
         if name == "slip_speed":
             return np.hypot(*values.T)
         if name == "pose":
