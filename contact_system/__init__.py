@@ -97,19 +97,14 @@ __all__ = [
 ]
 
 
-_LATER = {
-    "steering": ("Geodesic", "Goal", "Loop", "Route", "geodesic", "geodesics", "loop", "reach"),
-    "sweeping": ("Failure", "Sweep", "sweep"),
-}
-"""Names that plans do not need; their modules are imported at first use."""
-
-
 def __getattr__(name: str) -> Any:
-    for package, names in _LATER.items():
-        if name in names:
-            return getattr(import_module(f"{__name__}.{package}"), name)
+    """A name that plans do not need; its package is imported at the first use."""
+    for package in ("steering", "sweeping") if name in __all__ else ():
+        module = import_module(f"{__name__}.{package}")
+        if name in module.__all__:
+            return getattr(module, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *sum(_LATER.values(), ())})
+    return sorted({*globals(), *__all__})
