@@ -142,20 +142,15 @@ LIBRARY = Path(__file__).with_name(f"_engine{_SUFFIX}")
 """The engine, and the functions of FMI over it."""
 
 
-def _library() -> ctypes.CDLL:
-    try:
-        library = ctypes.CDLL(str(LIBRARY))
-    except OSError as error:
-        raise ImportError(
-            f"the engine of contact_system cannot be loaded: {error}; install the package again "
-            "(pip install .); in a clone, whose sources Python takes first, run programs elsewhere "
-            "or pip install -e ."
-        ) from None
-    library.contact_engine.restype = POINTER(Engine)
-    return library
-
-
-_LIBRARY = _library()
+try:
+    _LIBRARY = ctypes.CDLL(str(LIBRARY))
+except OSError as error:
+    raise ImportError(
+        f"the engine of contact_system cannot be loaded: {error}; install the package again "
+        "(pip install .); in a clone, whose sources Python takes first, run programs elsewhere "
+        "or pip install -e ."
+    ) from None
+_LIBRARY.contact_engine.restype = POINTER(Engine)
 ENGINE: Engine = _LIBRARY.contact_engine().contents
 # reading a field of a structure makes a new function object every time
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
