@@ -142,14 +142,14 @@ def failed(scene: Scene, failure: Failure) -> Exception:
     where = f"{failure.t:.9g}"
     reached = f"arc length {where} m" if failure.by_length else f"t = {where} s"
     place = failure.u, failure.v
-    if failure.code in (STUCK, TOO_MANY_PANELS) and (why := _singular(surface, place)):
-        return ContactSystemError(f"{name}: the motion cannot be continued past {reached}: {why}")
-    if failure.code == STUCK:
+    why = _singular(surface, place) if failure.code in (STUCK, TOO_MANY_PANELS) else ""
+    if failure.code == STUCK and not why:
         why = _accelerated_at_rest(scene, failure) or (
             "the path reaches a singular point of its chart or its surface, or it is so fast, or "
             "so far from the body's origin, that rounding exceeds the tolerance; start elsewhere, "
             "change the direction, end the scene before or give a greater tolerance"
         )
+    if why:
         return ContactSystemError(f"{name}: the motion cannot be continued past {reached}: {why}")
     if failure.code == TOO_MANY_PANELS:
         why = _accelerated_at_rest(scene, failure) or (
