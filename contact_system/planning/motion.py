@@ -244,16 +244,13 @@ class Motion:
         rows = np.empty((self._count, MOMENT))
         self._call(binding.anchor)
         self._call(binding.moments, t, address(rows))
-        return [self._moment(i, row) for i, row in enumerate(rows.tolist())]
-
-    def _moment(self, contact: int, row: list[float]) -> Moment:
-        bodies = self.scene.contacts[contact].finger, self.scene.object
-        frames = [
-            tuple(row[first : first + 6]) if in_space(surface) else ()
-            for surface, first in zip(bodies, (11, 17))
-        ]
-        places = tuple(row[:3]), tuple(row[3:6])
-        return Moment(*places, row[6], tuple(row[7:9]), tuple(row[9:11]), *frames)
+        found = []
+        for contact, row in zip(self.scene.contacts, rows.tolist()):
+            places, paths = (tuple(row[:3]), tuple(row[3:6])), (tuple(row[7:9]), tuple(row[9:11]))
+            both = (contact.finger, row[11:17]), (self.scene.object, row[17:23])
+            frames = [tuple(frame) if in_space(surface) else () for surface, frame in both]
+            found.append(Moment(*places, row[6], *paths, *frames))
+        return found
 
     def lines(self) -> list[str]:
         """How each contact and interval was planned, why, and what was skipped."""
