@@ -73,7 +73,6 @@ class Disturbance:
             )
 
 
-@dataclass(frozen=True, init=False)
 class FingerAcceleration(Disturbance):
     """Adds `value` = (du, dv) to the finger's (u1", v1") [rad/s^2, or the chart's units]."""
 
@@ -81,7 +80,6 @@ class FingerAcceleration(Disturbance):
     slot: ClassVar[int] = 0
 
 
-@dataclass(frozen=True, init=False)
 class ObjectAcceleration(Disturbance):
     """Adds `value` = (du, dv) to the object's (u2", v2") [rad/s^2, or the chart's units]."""
 
@@ -89,7 +87,6 @@ class ObjectAcceleration(Disturbance):
     slot: ClassVar[int] = 1
 
 
-@dataclass(frozen=True, init=False)
 class ObjectRateOffset(Disturbance):
     """Adds `value` = (du, dv) to the object's (u2', v2') [rad/s, or the chart's units].
 
