@@ -101,7 +101,11 @@ class SceneSystem:
             coordinates = "frame" if without_chart(scene) else "chart"
         self.scene, self.coordinates = scene, one_of(coordinates, COORDINATES, "coordinates")
         self.disturbance_input = flag(disturbance_input, "disturbance_input")
-        self._require_possible()
+        if self.coordinates == "chart" and (reason := without_chart(scene)):
+            raise SceneError(f'{scene.title}{reason}; use coordinates="frame"')
+        for d in scene.disturbances:
+            if d.accelerates:
+                refuse_rest(scene, int(d.contact), d.start, d.stop)
         n = len(scene.contacts)
         self.n_w = 6 * n if scene.disturbances or disturbance_input else 0
         self.forms = self._forms()
@@ -123,15 +127,6 @@ class SceneSystem:
     def __reduce__(self) -> tuple:
         """Pickle and copy the arguments; the system is made again."""
         return SceneSystem, (self.scene, self.coordinates, self.disturbance_input)
-
-    def _require_possible(self) -> None:
-        """Raise a SceneError if the scene cannot be written in these coordinates."""
-        scene = self.scene
-        if self.coordinates == "chart" and (reason := without_chart(scene)):
-            raise SceneError(f'{scene.title}{reason}; use coordinates="frame"')
-        for d in scene.disturbances:
-            if d.accelerates:
-                refuse_rest(scene, int(d.contact), d.start, d.stop)
 
     def _forms(self) -> list[Form]:
         scene, chart = self.scene, self.coordinates == "chart"
