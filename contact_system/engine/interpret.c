@@ -35,13 +35,13 @@ INLINE void execute(const code_t *restrict k, double *restrict r, const int widt
   case OP_##name:                                                                                  \
     for (int i = 0; i < width; i++) REGISTER(k->to) = (value);                                     \
     break;
-#define LANES(name, function)                                                                      \
-  case OP_##name:                                                                                  \
-    if (width == 1)                                                                                \
-      r[k->to] = one_##function(r[k->a]);                                                          \
-    else                                                                                           \
-      lanes_##function(r + k->to * L, r + k->a * L);                                               \
-    break;
+#define SINCOS(name, which)                                                                        \
+  case OP_##name: {                                                                                \
+    double s[L], c[L];                                                                             \
+    sincos_of(r + k->a * width, s, c, width);                                                      \
+    memcpy(r + k->to * width, which, (size_t)width * sizeof *r);                                   \
+    break;                                                                                         \
+  }
 #define PARTIALS(name, ...)                                                                        \
   case OP_##name: {                                                                                \
     const double partial[] = {__VA_ARGS__};                                                        \
@@ -53,7 +53,7 @@ INLINE void execute(const code_t *restrict k, double *restrict r, const int widt
       const int i = 0;
       switch (k->op) { DERIVATIVES(PARTIALS) }
     }
-    switch (k->op) { OPERATIONS(SIMPLE, CALL, LANES) }
+    switch (k->op) { OPERATIONS(SIMPLE, CALL, SINCOS) }
   }
 #undef A
 #undef B

@@ -90,43 +90,16 @@ static inline double v_exp(double x) {
   return (x < -700.0 ? 0.0 : x > 709.0 ? HUGE_VAL : r) + 0.0 * x;
 }
 
-static inline int any_large(const double *a) {
-  double worst = 0.0;
-  EACH_LANE(i) worst += !(fabs(a[i]) < LARGE_ANGLE);
-  return worst != 0.0;
+/* Sines and cosines of n numbers, by libm where one of them is large */
+static inline void sincos_of(const double *a, double *restrict s, double *restrict c, const int n) {
+  double large = 0.0;
+  SIMD for (int i = 0; i < n; i++) large += !(fabs(a[i]) < LARGE_ANGLE);
+  if (large != 0.0)
+    for (int i = 0; i < n; i++) s[i] = sin(a[i]), c[i] = cos(a[i]);
+  else
+    SIMD for (int i = 0; i < n; i++) v_sincos(a[i], &s[i], &c[i]);
 }
 
 static void lanes_sincos(const double *a, double *restrict s, double *restrict c) {
-  if (any_large(a)) {
-    for (int i = 0; i < L; i++) s[i] = sin(a[i]), c[i] = cos(a[i]);
-    return;
-  }
-  EACH_LANE(i) v_sincos(a[i], &s[i], &c[i]);
-}
-
-static void lanes_sin(double *to, const double *a) {
-  double s[L], c[L];
-  lanes_sincos(a, s, c);
-  memcpy(to, s, sizeof s);
-}
-
-static void lanes_cos(double *to, const double *a) {
-  double s[L], c[L];
-  lanes_sincos(a, s, c);
-  memcpy(to, c, sizeof c);
-}
-
-/* The same of one number */
-static inline double one_sin(double a) {
-  double s, c;
-  if (!(fabs(a) < LARGE_ANGLE)) return sin(a);
-  v_sincos(a, &s, &c);
-  return s;
-}
-
-static inline double one_cos(double a) {
-  double s, c;
-  if (!(fabs(a) < LARGE_ANGLE)) return cos(a);
-  v_sincos(a, &s, &c);
-  return c;
+  sincos_of(a, s, c, L);
 }

@@ -44,7 +44,7 @@ def operations() -> str:
     slopes = " \\\n".join(f"  ROW({row.name}, {', '.join(row.partials)})" for row in OPERATIONS)
     return (
         f"{MARK}enum {{ OP_END, {codes} }};\n\n"
-        f"#define OPERATIONS(SIMPLE, CALL, LANES) \\\n{rows}\n\n"
+        f"#define OPERATIONS(SIMPLE, CALL, SINCOS) \\\n{rows}\n\n"
         f"#define DERIVATIVES(ROW) \\\n{slopes}\n"
     )
 

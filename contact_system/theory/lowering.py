@@ -38,11 +38,11 @@ class Operation(NamedTuple):
     name: str
     """As in CasADi's OP_..."""
     c: str
-    """C expression of the operands A and B; of kind "LANES" the name of a function of vmath.h."""
+    """C expression of the operands A and B; of kind "SINCOS" s or c."""
     partials: tuple[str, ...]
     """C expressions of the derivatives by each operand."""
     kind: str = "SIMPLE"
-    """"SIMPLE"; "CALL" of the C library, which compilers do not vectorise; or "LANES"."""
+    """"SIMPLE"; "CALL" of the C library, which compilers do not vectorise; or "SINCOS"."""
 
 
 _CALLS = {
@@ -88,8 +88,8 @@ OPERATIONS = (
     Operation("IF_ELSE_ZERO", "A != 0 ? B : 0.0", ("0.0", "A != 0 ? 1.0 : 0.0")),
     Operation("ATAN2", "v_atan2(A, B)", ("B / (A * A + B * B)", "-A / (A * A + B * B)")),
     Operation("EXP", "v_exp(A)", ("exp(A)",)),
-    Operation("SIN", "sin", ("cos(A)",), "LANES"),
-    Operation("COS", "cos", ("-sin(A)",), "LANES"),
+    Operation("SIN", "s", ("cos(A)",), "SINCOS"),
+    Operation("COS", "c", ("-sin(A)",), "SINCOS"),
     *(Operation(name, f"{name.lower()}(A)", (slope,), "CALL") for name, slope in _CALLS.items()),
     Operation("POW", "pow(A, B)", _POWER, "CALL"),
     Operation("FMOD", "fmod(A, B)", ("1.0", "-trunc(A / B)"), "CALL"),
