@@ -148,28 +148,6 @@ def upper_inverse(m: ca.SX) -> ca.SX:
 # --- functions of (point, numbers of a surface) --------------------------------------------------
 
 
-def geometry_function(surface: Surface) -> ca.Function:
-    """(u, v), or x on an implicit surface -> :meth:`ChartGeometry.column`."""
-    numbers, place = number_symbols(surface), ca.SX.sym("place", 2 if surface.has_chart else 3)
-    shape = surface.geometry_expr(numbers, place)
-    return numbers_function("geometry", place, numbers, shape.column())
-
-
-def inverse_function(surface: Surface) -> ca.Function:
-    """x -> u, v."""
-    numbers, x = number_symbols(surface), ca.SX.sym("x", 3)
-    uv = ca.vertcat(*surface.coordinates_expr(numbers, x))
-    return numbers_function("inverse", x, numbers, uv)
-
-
-def ray_function(surface: Surface) -> ca.Function:
-    """x, d -> the level function F and its slope along d."""
-    numbers, x, ray = number_symbols(surface), ca.SX.sym("x", 3), ca.SX.sym("d", 3)
-    level = surface._level(numbers[1:], x)
-    slope = ca.dot(ca.gradient(level, x), ray)
-    return numbers_function("ray", ca.vertcat(x, ray), numbers, ca.vertcat(level, slope))
-
-
 def number_symbols(surface: Surface) -> ca.SX:
     """Return symbols for a surface's sign and its parameters, one column."""
     return ca.SX.sym("numbers", 1 + len(surface.parameters))

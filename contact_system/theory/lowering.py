@@ -25,7 +25,7 @@ from ..errors import ContactSystemError
 from ..kept import kept
 from . import symbols as ca
 from .development import IN_CHART, IN_SPACE, in_space, moving
-from .geometry import geometry_function, inverse_function, ray_function
+from .geometry import number_symbols, numbers_function
 from .symbols import making_symbols, per_structure
 
 if TYPE_CHECKING:
@@ -358,21 +358,31 @@ class SurfaceTables:
     @kept
     def geometry(self) -> Table:
         """(u, v), or x on a surface without a chart -> `ChartGeometry.column`."""
-        return self._made(geometry_function)
+        size, shape = 2 if self.surface.has_chart else 3, self.surface.geometry_expr
+        return self._made(size, lambda numbers, place: shape(numbers, place).column())
 
     @kept
     def inverse(self) -> Table:
         """x -> u, v, for surfaces with an implicit form."""
-        return self._made(inverse_function)
+        inverse = self.surface.coordinates_expr
+        return self._made(3, lambda numbers, x: ca.vertcat(*inverse(numbers, x)))
 
     @kept
     def ray(self) -> Table:
         """x, d -> the level function and its slope along d, for surfaces without a chart."""
-        return self._made(ray_function)
 
-    def _made(self, function: Callable[[Surface], ca.Function]) -> Table:
+        def along(numbers: ca.SX, point: ca.SX) -> ca.SX:
+            x, ray = point[:3], point[3:]
+            level = self.surface._level(numbers[1:], x)
+            return ca.vertcat(level, ca.dot(ca.gradient(level, x), ray))
+
+        return self._made(6, along)
+
+    def _made(self, size: int, result: Callable[[ca.SX, ca.SX], ca.SX]) -> Table:
+        """The table of the result of numbers and a point, a column of this size."""
         with making_symbols():
-            return Table(function(self.surface))
+            numbers, point = number_symbols(self.surface), ca.SX.sym("point", size)
+            return Table(numbers_function("table", point, numbers, result(numbers, point)))
 
 
 @per_structure
