@@ -200,7 +200,9 @@ def _symmetric(value: Any) -> Array:
 
 def _principal_chart(matrix: Array) -> tuple[type[Chart], tuple[float, ...], Array]:
     """Return chart, its numbers and a proper rotation, columns the chart's axes in the body."""
-    values, vectors = _eigen(matrix)
+    diagonal = np.diag(matrix)
+    given = not np.any(matrix - np.diag(diagonal))  # exactly
+    values, vectors = (diagonal, np.eye(3)) if given else np.linalg.eigh(matrix)
     scale = np.max(np.abs(values))
     # eigh has an error of a few units in the last place of the greatest eigenvalue
     values = np.where(np.abs(values) <= 8 * np.finfo(float).eps * scale, 0.0, values)
@@ -230,13 +232,6 @@ def _principal_chart(matrix: Array) -> tuple[type[Chart], tuple[float, ...], Arr
     if chart.great_circles:  # eigenvectors of a sphere are arbitrary
         rotation = np.eye(3)
     return chart, lengths, rotation
-
-
-def _eigen(matrix: Array) -> tuple[Array, Array]:
-    """Return eigenvalues and eigenvectors; exact for a diagonal matrix."""
-    if np.count_nonzero(matrix - np.diag(np.diag(matrix))) == 0:
-        return np.diag(matrix), np.eye(3)
-    return np.linalg.eigh(matrix)
 
 
 def _merge_equal(axes: Array, case: str) -> Array:
