@@ -133,44 +133,41 @@ class Probe:
         n = len(machine.point) - SEEN
         self.seen, self.found = machine.point[n:], machine.results[n:]
         self._pose = self.seen[:12].reshape(3, 4)
-        self._x, self._ahead = machine.point[:n].data, machine.results[:n].data
-        self._step, self._relative = self.found[:1].data, self.found[1:2].data
+        self._x, self._ahead = machine.point[:n], machine.results[:n]
         self._run, self.small, self.settled = machine.run, small, settled
         self._surfaces = finger, obj
         self._in_space = not any(isinstance(s, ParametricSurface) for s in self._surfaces)
-        machine.point[:n] = np.nan  # no last measurement
+        self._x[:] = np.nan  # no last measurement
 
     def find(self, point: Any, of_finger: Any = None) -> np.ndarray:
         """Newton's method from a point near the contact, until steps are small; returns `found`.
 
         point, of_finger : (3,), in the object's frame and, if known, in the finger's
         """
-        step, run, small = self._step, self._run, self.small
-        x: Any = self._x
-        ahead = self._ahead
+        x, found, run, small = self._x, self.found, self._run, self.small
         if of_finger is None:
             of_finger = (point - self._pose[:, 3]) @ self._pose[:, :3]
         if self._in_space:
             x[:3], x[3:] = of_finger, point
         else:
             n = 2 if isinstance(self._surfaces[0], ParametricSurface) else 3
-            near = zip(self._surfaces, (of_finger, point), np.split(np.array(x), [n]))
+            near = zip(self._surfaces, (of_finger, point), np.split(x, [n]))
             x[:] = np.concatenate([_unknowns(surface, np.array(p), q) for surface, p, q in near])
         run()
-        first = self._relative[0]
+        first = found[RELATIVE]
         for _ in range(MOST_STEPS):
-            if not step[0] > small:  # small, or NaN without a contact frame
+            if not found[STEP] > small:  # small, or NaN without a contact frame
                 break
-            x[:] = ahead
+            x[:] = self._ahead
             run()
         # where bodies conform, steps may lead to places where they do not
-        if abs(first) <= CONFORMAL and not step[0] <= small:
-            self._relative[0] = first
+        if abs(first) <= CONFORMAL and not found[STEP] <= small:
+            found[RELATIVE] = first
         if not self._in_space:
-            for at, surface in zip((self.found[2:4], self.found[6:8]), self._surfaces):
+            for at, surface in zip((found[2:4], found[6:8]), self._surfaces):
                 if isinstance(surface, ParametricSurface):
                     at[:] = surface._wrap(*at)
-        return self.found
+        return found
 
     def states(self, what: str) -> np.ndarray:
         """The states found, (9,); raises errors as :func:`measured_states`, which name `what`."""
