@@ -37,7 +37,7 @@ static void lay_circle(work_t *w, const double *state, track_t *k) {
 static void circle_at(const track_t *k, const double *phase, int rows, lanes_t state) {
   const double radius = k->body->size;
   double s[L], c[L];
-  lanes_sincos(phase, s, c);
+  sincos_of(phase, s, c, L);
   for (int j = 0; j < 3; j++) {
     const double x = k->at[j], e = radius * k->along[j], back = k->at[j] / radius;
     const double a0 = k->lean[0], off = k->lean[1] * k->across[j];

@@ -56,7 +56,7 @@ static void turn_rows(double (*x)[L], double (*y)[L], int n, const double *c, co
 /* The frame turns: the path's direction changes. */
 static void turn_path(rolled_t *r, int n, const double *turn) {
   double s[L], c[L];
-  lanes_sincos(turn, s, c);
+  sincos_of(turn, s, c, L);
   turn_rows(r->at + 3, r->at + 6, 3, c, s);
   turn_rows(r->ahead, r->aside, n, c, s);
   if (r->lines.space)
@@ -81,7 +81,7 @@ static void advance(rolled_t *r, const double *length) {
   const double k = body->gauss, root = sqrt(k);
   double half[L], s[L], c[L];
   EACH_LANE(l) half[l] = 0.5 * root * length[l];
-  lanes_sincos(half, s, c);
+  sincos_of(half, s, c, L);
   double (*f)[L] = r->at + 9;
   EACH_LANE(l) {
     const double rise = k > 0 ? s[l] / root : 0.5 * length[l], drop = 2.0 * rise * rise;

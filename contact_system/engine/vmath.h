@@ -99,7 +99,3 @@ static inline void sincos_of(const double *a, double *restrict s, double *restri
   else
     SIMD for (int i = 0; i < n; i++) v_sincos(a[i], &s[i], &c[i]);
 }
-
-static void lanes_sincos(const double *a, double *restrict s, double *restrict c) {
-  sincos_of(a, s, c, L);
-}
