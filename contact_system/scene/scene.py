@@ -19,7 +19,6 @@ import numpy as np
 from ..checks import finite_number, known_keys, naming, of_kind, within
 from ..errors import ContactSystemError, SceneError
 from ..surfaces import Surface
-from ..surfaces.charts import fold_latitude
 from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
 from .contact import Contact, Turning, a_text, all_of
@@ -270,7 +269,7 @@ class Scene:
                     continue
                 changes: dict[str, Any] = {f"{body}_at": at}
                 # a double cover has the same point at (u, v) and (-u, pi - v), with opposite axes
-                if surface.chart.double_cover and fold_latitude(given[1])[1]:
+                if surface.chart.double_cover and surface.align(*at, *given)[2]:
                     changes["angle"] = math.remainder(contacts[i].angle + math.pi, 2 * math.pi)
                     velocity = getattr(contact, f"{body}_velocity")
                     if not isinstance(velocity, str):
