@@ -28,11 +28,6 @@ def hypot(a: ca.SX | float, b: ca.SX | float) -> ca.SX:
     return ca.sqrt(a * a + b * b)
 
 
-def diagonal(a: ca.SX | float, b: ca.SX | float) -> ca.SX:
-    """Return the matrix diag(a, b)."""
-    return ca.diag(ca.vertcat(a, b))
-
-
 def choose(condition: Any, a: Any, b: Any) -> Any:
     """Return a where the condition holds, else b, for numbers and arrays."""
     return np.where(condition, a, b) if isinstance(condition, np.ndarray) else a if condition else b

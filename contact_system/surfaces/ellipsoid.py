@@ -22,7 +22,6 @@ from .charts import (
     Frame,
     Pair,
     choose,
-    diagonal,
     fold_latitude,
     hypot,
     wrap_angle,
@@ -113,7 +112,7 @@ class JacobiChart(Chart):
         f_v = ca.vertcat(
             -a * cos_u * self.k2 * cos_v * sin_v / root_v, -b * sin_u * sin_v, c * cos_v * root_u
         )
-        return f_u / h_u, f_v / h_v, diagonal(h_u, h_v)
+        return f_u / h_u, f_v / h_v, ca.diag(ca.vertcat(h_u, h_v))
 
     @classmethod
     def wrap(cls, u: Angle, v: Angle) -> tuple[Angle, Angle]:
@@ -148,7 +147,7 @@ class OblateChart(Chart):
         outward, upward = -a * x[2] / c, c * rho / a
         h_v = hypot(outward, upward)
         y_axis = ca.vertcat(outward * cos_u, outward * sin_u, upward) / h_v
-        return ca.vertcat(-sin_u, cos_u, 0), y_axis, diagonal(rho, h_v)
+        return ca.vertcat(-sin_u, cos_u, 0), y_axis, ca.diag(ca.vertcat(rho, h_v))
 
     @classmethod
     def wrap(cls, u: Angle, v: Angle) -> tuple[Angle, Angle]:
@@ -179,7 +178,7 @@ class ProlateChart(PolarChart):
         axial, radial = -a * rho / b, b * x[0] / a
         h_u = hypot(axial, radial)
         x_axis = ca.vertcat(axial, radial * cos_v, radial * sin_v) / h_u
-        return x_axis, ca.vertcat(0, -sin_v, cos_v), diagonal(h_u, rho)
+        return x_axis, ca.vertcat(0, -sin_v, cos_v), ca.diag(ca.vertcat(h_u, rho))
 
     def floor(self, u: float, v: float) -> float:
         return self.p[1] * abs(math.sin(u))  # h_v = b |sin u|, h_u >= b

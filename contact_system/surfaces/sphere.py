@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from ..theory import symbols as ca
 from .base import OfLengths
-from .charts import TURN, Angle, Chart, Frame, Pair, choose, diagonal, hypot, wrap_angle
+from .charts import TURN, Angle, Chart, Frame, Pair, choose, hypot, wrap_angle
 
 
 class PolarChart(Chart):
@@ -31,7 +31,7 @@ class PolarChart(Chart):
         r, rho = self.p[0], hypot(x[0], x[1])
         cos_v, sin_v, cos_u = x[0] / rho, x[1] / rho, x[2] / r
         x_axis = ca.vertcat(cos_u * cos_v, cos_u * sin_v, -rho / r)
-        return x_axis, ca.vertcat(-sin_v, cos_v, 0), diagonal(r, rho)
+        return x_axis, ca.vertcat(-sin_v, cos_v, 0), ca.diag(ca.vertcat(r, rho))
 
     @classmethod
     def wrap(cls, u: Angle, v: Angle) -> tuple[Angle, Angle]:

@@ -8,7 +8,7 @@ from typing import ClassVar
 from ..errors import SurfaceError
 from ..theory import symbols as ca
 from .base import OfLengths
-from .charts import TURN, Chart, Frame, Pair, diagonal, hypot
+from .charts import TURN, Chart, Frame, Pair, hypot
 
 
 class TorusChart(Chart):
@@ -30,7 +30,7 @@ class TorusChart(Chart):
         cos_u, sin_u = x[0] / rho, x[1] / rho
         cos_v, sin_v = (rho - self.p[0]) / self.p[1], x[2] / self.p[1]
         y_axis = ca.vertcat(-sin_v * cos_u, -sin_v * sin_u, cos_v)
-        return ca.vertcat(-sin_u, cos_u, 0), y_axis, diagonal(rho, self.p[1])
+        return ca.vertcat(-sin_u, cos_u, 0), y_axis, ca.diag(ca.vertcat(rho, self.p[1]))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
