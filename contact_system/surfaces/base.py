@@ -392,7 +392,6 @@ def positive_length(surface: Surface, name: str, value: Any) -> float:
     raise SurfaceError(f"{what} = {value!r} m must be above {LEAST_LENGTH:g} m; {remedy}")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
 class OfLengths(Surface):
     """A surface whose positional arguments are lengths, m, such as radii or semi-axes."""
 

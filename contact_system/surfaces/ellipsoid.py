@@ -184,7 +184,6 @@ class ProlateChart(PolarChart):
         return self.p[1] * abs(math.sin(u))  # h_v = b |sin u|, h_u >= b
 
 
-@dataclass(frozen=True, eq=False, repr=False)
 class SecondDegree(Surface):
     """The surface x^T A x = 1; subclasses define its chart."""
 
