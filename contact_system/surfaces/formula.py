@@ -10,7 +10,7 @@ import keyword
 import math
 import unicodedata
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -162,7 +162,10 @@ def _trace(
             # CasADi warns of a future change of numpy functions of symbols
             warnings.simplefilter("ignore", FutureWarning)
             value = function(*arguments, **symbols)
-            column = ca.vertcat(*(ca.vec(ca.SX(part)) for part in _parts(value)))
+            if isinstance(value, np.ndarray):
+                value = value.ravel().tolist()
+            parts = value if isinstance(value, (list, tuple)) else [value]
+            column = ca.vertcat(*(ca.vec(ca.SX(part)) for part in parts))
     except Exception as error:  # whatever a user's function may raise
         names = "x, one column of three coordinates" if len(arguments) == 1 else "u, v"
         raise SurfaceError(
@@ -175,9 +178,3 @@ def _trace(
             f"the function returns {column.numel()} component(s); it must return {count}"
         )
     return column
-
-
-def _parts(value: Any) -> Iterable[Any]:
-    if isinstance(value, np.ndarray):
-        return value.ravel().tolist()
-    return value if isinstance(value, (list, tuple)) else [value]
