@@ -273,10 +273,8 @@ class SceneSystem:
         what, remedy = f"{self.scene.title}: t", "a time in seconds"
         return float(shaped_array(t, what, (), remedy=remedy))
 
-    def _numbers(self, name: str, value: ArrayLike, count: int | None = None) -> Array:
-        """The value as an array of floats, (count,) if a count is given."""
-        shape = None if count is None else (count,)
-        return shaped_array(value, f"{self.scene.title}: {name}", shape)
+    def _numbers(self, name: str, value: ArrayLike, count: int) -> Array:
+        return shaped_array(value, f"{self.scene.title}: {name}", (count,))
 
     # --- windows and starts ----------------------------------------------------------------------
 
@@ -394,7 +392,7 @@ class SceneSystem:
         SceneError
             A wrong shape, NaN, sigma(t) <= 0, or a point outside its chart.
         """
-        n, rows = len(self.scene.contacts), self._numbers("state", state)
+        n, rows = len(self.scene.contacts), shaped_array(state, f"{self.scene.title}: state")
         if rows.size != 9 * n:
             where = f"{self.scene.title}, restart"
             raise SceneError(f"{where}: state has shape {rows.shape}; give {(n, 9)}")
