@@ -153,9 +153,10 @@ def failed(scene: Scene, failure: Failure) -> Exception:
         return ContactSystemError(f"{name}: the motion cannot be continued past {reached}: {why}")
     if failure.code == TOO_MANY_PANELS:
         why = _accelerated_at_rest(scene, failure) or (
-            f"{_far_away(scene, failure)}shorten the scene, lower the speed, the acceleration or "
-            "the surface's curvature, or give a surface of your own a greater size; where the path "
-            "comes to where a formula has no values, end the scene or the disturbance before"
+            f"{_far_away(surface, contact.start()[failure.side])}shorten the scene, lower the "
+            "speed, the acceleration or the surface's curvature, or give a surface of your own a "
+            "greater size; where the path comes to where a formula has no values, end the scene or "
+            "the disturbance before"
         )
         return ContactSystemError(
             f"{name}: {failure.panels} panels reach {reached} of {failure.end:.9g} only, and the "
@@ -221,10 +222,8 @@ def _accelerated_at_rest(scene: Scene, failure: Failure) -> str:
     )
 
 
-def _far_away(scene: Scene, failure: Failure) -> str:
+def _far_away(surface: Surface, at: Sequence[float]) -> str:
     """What to do where a body is far from its origin, and rounded positions rough for its size."""
-    contact, side = scene.contacts[failure.contact], int(failure.side)
-    surface, at = (contact.finger, scene.object)[side], contact.start()[side]
     distance = math.hypot(*surface.point(*at))
     rounding = EPS * distance / surface.size
     if rounding < 1e-12:  # the default tolerance
