@@ -82,7 +82,7 @@ class Aim(Steer):
         unit = min([self._turning_length(*curvatures), *widths]) / self.pace
         self.unit = max(unit, 0.05 * self.far)  # far goals take long steps
         self.size = min(self.sizes)  # a greater one weighs places too little beside angles
-        self.longest = (1 - 1e-10) * (longest or 0.0)  # which paths meet to 1e-12 or so
+        self.longest = (1 - 1e-10) * (longest or 0.0)  # paths keep to it within 1e-12 or so
         self.parts = PARTS if self.regions else 1
         self.turns, self.is_pose = self.pose is not None, goal.pose is not None
         if self.pose is not None:

@@ -231,7 +231,7 @@ class Pairs:
         in_space = points.shape[-1] == 3
         uv = surface.coordinates(points) if in_space else (points[..., 0], points[..., 1])
         if self.follow.space and not in_space:
-            uv = surface._wrap(*uv)  # where frames are those of the regular range, as of contacts
+            uv = surface._wrap(*uv)  # the frame is that in the regular range, as for contacts
         if self.follow.space and in_space:  # to the last digit, at poles too
             there = self._restored(points.reshape(-1, 3), np.ones(3))[0].reshape(points.shape)
         else:
