@@ -173,19 +173,8 @@ def _solved_frames(scene: Scene, begins: Sequence[Any]) -> dict[int, list[Number
 class Motion:
     """Contacts planned by the engine: finger and object, interval by interval.
 
-    Parameters
-    ----------
-    scene : Scene
-    tolerance : float
-    begin : float
-        When the motion begins, s.
-    starts : Starts, optional
-        Of the contacts at that time; default: those of the scene.
-
-    Raises
-    ------
-    ContactSystemError
-        Why the scene cannot be planned.
+    begin: when the motion begins, s; starts: of the contacts then, by default those of the scene.
+    Raises a ContactSystemError that tells why the scene cannot be planned.
     """
 
     _as_parameter_: int | None = None  # the plan's address: ctypes passes it for this object
