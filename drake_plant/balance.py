@@ -30,6 +30,7 @@ from .config import StationConfig
 from .hand_kinematics import way_to
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import MOTIONS, ScenePlant, declare_plant_inputs, gravity_on
+from .scratch import slices
 
 MARGIN = 0.8
 """Of a friction cone, so that facets and feedback leave what is measured below 90 %."""
@@ -38,7 +39,7 @@ UNIT = 1e-6  # how far from 1 a normal's length may be
 LEFT = 1e-3  # part of a wrench that counts as not balanced, where something has to be left
 NONE, ROUNDING = 1e-14, 1e-6  # between these, a part of a wrench that no forces exert is rounding
 DEAR = 1e6  # how much dearer than forces that is, squared and in sizes of about 1
-COLUMNS = {"contact_forces": slice(0, 3), "normal_force": slice(3, 4), "friction_used": slice(4, 5)}
+FOUND = {"contact_forces": 3, "normal_force": 1, "friction_used": 1}  # numbers of each contact
 
 
 def balancing_forces(
@@ -291,13 +292,13 @@ class ForceBalancer(LeafSystem):
         self._normals = self.DeclareVectorInputPort("normal", 3 * n)
         self._poses, self._velocities = declare_plant_inputs(self, plant, *MOTIONS)
         needs = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
-        ticket, self._found = array_entry(self._CalcFound, (n, 5), needs)
-        for name, rows in COLUMNS.items():
-            size, calc = n * (rows.stop - rows.start), weakly(self._CalcVector, name)
-            self.DeclareVectorOutputPort(name, size, calc, {ticket})
+        ticket, self._found = array_entry(self._CalcFound, (n, sum(FOUND.values())), needs)
+        for name, columns in slices(FOUND).items():
+            calc = weakly(self._CalcVector, columns)
+            self.DeclareVectorOutputPort(name, n * FOUND[name], calc, {ticket})
 
-    def _CalcVector(self, name: str, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._found(context)[:, COLUMNS[name]].ravel())
+    def _CalcVector(self, columns: slice, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._found(context)[:, columns].ravel())
 
     def _CalcFound(self, context: Context) -> Array:
         X_WO = self._poses.Eval(context)[self._index]

@@ -56,20 +56,14 @@ from contact_system.theory.symbols import per_structure
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import MOTIONS, ScenePlant, declare_plant_inputs
 from .pressing import require_alike
-from .scratch import FingerTables, PerThread, named
+from .scratch import FingerTables, PerThread, named, slices
 
 TINY = sys.float_info.min
 TOLERANCE = 1e-7
 """Of the places of contacts, over the size of the bodies."""
-COLUMNS = {
-    "slip": slice(0, 2),
-    "normal_force": slice(2, 3),
-    "tangential_force": slice(3, 5),
-    "state": slice(5, 14),
-    "contact_point": slice(14, 17),
-}
-"""Of what is measured; the first three where the step that ended now began."""
-NUMBERS = 17
+MEASURED = {"slip": 2, "normal_force": 1, "tangential_force": 2, "state": 9, "contact_point": 3}
+"""Numbers of each contact; the first three are of where the step that ended now began."""
+COLUMNS = slices(MEASURED)
 NOTHING = np.zeros(3).data
 SEEN = {"X_WO": 12, "V_WO": 6, "X_WF": 12, "V_WF": 6, "point": 3, "force": 3, "torque": 3}
 """What is seen of a contact: bodies, the point C where it acts, the force on the finger, and its
@@ -82,7 +76,6 @@ finger."""
 # Bodies planned on the radii that they roll on meet there. A plane has no radius: there it is where
 # the planned finger's surface is.
 AT_FINGER = 1.0
-SIZES = {name: rows.stop - rows.start for name, rows in COLUMNS.items()} | {"sliding": 3}
 NOISY = ("state", "sliding")
 SATURATED = 0.95
 """Friction counts as saturated from this part of mu N on: facets let N itself ripple."""
@@ -185,8 +178,9 @@ class ContactMonitor(LeafSystem):
         self._results, self._poses, self._velocities = inputs
         self._noise = self.DeclareVectorInputPort("noise", 9 * n)
         tickets = [port.ticket() for port in inputs]
-        ticket, self.measured = array_entry(self._CalcMeasured, (n, NUMBERS), tickets)
-        for name, size in SIZES.items():
+        shape = n, sum(MEASURED.values())
+        ticket, self.measured = array_entry(self._CalcMeasured, shape, tickets)
+        for name, size in (MEASURED | {"sliding": 3}).items():
             needs = {ticket, self._noise.ticket()} if name in NOISY else {ticket}
             calc = weakly(self._CalcVector, name)
             self.DeclareVectorOutputPort(name, size * n, calc, needs)
@@ -282,7 +276,7 @@ class ContactGauges:
         steps = [[step]] * len(self._probes)
         self._motions = FingerTables(_motion(), SEEN, steps)
         self._forces = FingerTables(_forces(), PRESSED, [[]] * len(steps))
-        self._result = np.zeros((len(steps), NUMBERS))
+        self._result = np.zeros((len(steps), sum(MEASURED.values())))
         x = self._motions.x
         self._acting = [*zip(x["point"], x["force"], x["torque"])]
         rows: Any = self._motions.results, self._forces.points, self._forces.results, self._result

@@ -68,10 +68,9 @@ class FingerTables:
         self.machines = [Machine(table, *each) for each in zip(constants, registers)]
         self.points = registers[:, : table.n_in]
         self.x: dict[str, Array] = {}
-        for name, part in zip(
-            sizes, np.split(self.points, np.cumsum([*sizes.values()])[:-1], axis=1)
-        ):
-            self.x[name] = part.reshape(-1, 3, 4) if name[0] == "X" else part
+        for name, part in slices(sizes).items():
+            own = self.points[:, part]
+            self.x[name] = own.reshape(-1, 3, 4) if name[0] == "X" else own
         self.results = registers[:, table.first_out :][:, : table.n_out]
 
     def put(self, X_W: Any, V_W: Any, obj: int, fingers: list[int]) -> None:
@@ -86,15 +85,16 @@ class FingerTables:
             machine.run()
 
 
-def split(numbers: ca.SX, sizes: dict[str, int]) -> dict[str, ca.SX]:
-    """Parts of so many numbers each, by their names."""
-    return dict(zip(sizes, ca.vertsplit(numbers, np.cumsum([0, *sizes.values()]).tolist())))
+def slices(sizes: dict[str, int]) -> dict[str, slice]:
+    """Where parts of so many numbers each are in a row, by their names."""
+    ends = np.cumsum([*sizes.values()]).tolist()
+    return dict(zip(sizes, map(slice, [0, *ends], ends)))
 
 
 def named(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
     """Symbols by their names; of a pose X R and p, of a velocity V w and v, of A alpha and a."""
     every = ca.SX.sym("x", sum(sizes.values()))
-    found = split(every, sizes)
+    found = {name: every[part] for name, part in slices(sizes).items()}
     for name, value in list(found.items()):
         if name[0] == "X":
             rows = ca.reshape(value, 4, 3).T

@@ -31,7 +31,7 @@ from contact_system.theory.symbols import per_structure
 from .config import GAINS
 from .planner_base import MOTION
 from .plant import ScenePlant, gravity_on
-from .scratch import named, split
+from .scratch import named, slices
 
 SHARE = 0.4
 """Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
@@ -60,7 +60,7 @@ def driving_law() -> Table:
     """Table of one finger: `POINT`, `CONSTANT` -> torque (3), force (3), in the world."""
     point, x = named(POINT)
     constant, c = named(CONSTANT)
-    plan = split(x.motion, MOTION)
+    plan = {name: x.motion[part] for name, part in slices(MOTION).items()}
     x.R_OF, x.p_OF = ca.reshape(plan["pose"][:9], 3, 3), plan["pose"][9:]
     x.w_OF, x.v_OF = ca.vertsplit(plan["twist"], 3)
     x.alpha_OF, x.a_OF = ca.vertsplit(plan["acceleration"], 3)
