@@ -165,7 +165,7 @@ def _happened(result: SimulationResult, reports: Sequence[ContactReport]) -> Ite
 def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
     of = partial(_of_each, reports)
     return _table(
-        *("contact", of("name")),
+        ("contact", "", of("name"), "s"),
         ("normal force", "N", of("normal_mean"), ".4f"),
         ("deviation", "N", of("normal_deviation"), ".4f"),
         ("off object", "s", of("off"), ".3f"),
@@ -180,7 +180,7 @@ def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
 def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
     of = partial(_of_each, [r for r in reports if r.disturbed])
     return _table(
-        *("contact", of("name")),
+        ("contact", "", of("name"), "s"),
         ("slip disturbed", "m/s", of("disturbed_slip"), ".2e"),
         ("greatest before", "m/s", of("slip_before"), ".2e"),
         ("saturated", "", of("saturated"), ".0%"),
@@ -190,17 +190,15 @@ def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
     )
 
 
-def _of_each(reports: Sequence[ContactReport], key: str) -> list[Any]:
+def _of_each(reports: Sequence[Any], key: str) -> list[Any]:
     return [getattr(report, key) for report in reports]
 
 
-def _table(
-    whose: str, names: Iterable[str], *columns: tuple[str, str, Iterable[Any], str]
-) -> Iterable[str]:
+def _table(*columns: tuple[str, str, Iterable[Any], str]) -> Iterable[str]:
     """Columns: name, unit, values and how they are written."""
-    head = ((whose, ""), *((name, unit) for name, unit, _, _ in columns))
+    head = [(name, unit) for name, unit, _, _ in columns]
     cells = [[_cell(form, x) for x in values] for _, _, values, form in columns]
-    return (*table(head, list(zip(names, *cells)), 1), "")
+    return (*table(head, list(zip(*cells)), 1), "")
 
 
 def _cell(form: str, value: Any) -> str:
@@ -216,7 +214,7 @@ def _hand(result: HandResult) -> Iterable[str]:
     force = np.average(result.measured["normal_force"], axis=0, weights=durations(result))
     spin = np.abs(np.trapezoid(plan.spin, plan.t, axis=0))
     yield from _table(
-        *("finger", [scene.contact_name(i) for i in range(len(force))]),
+        ("finger", "", [scene.contact_name(i) for i in range(len(force))], "s"),
         ("normal force", "N", force, ".3f"),
         ("cone planned", "", told.cones_planned, ".1%"),
         ("cone measured", "", told.cones, ".1%"),
@@ -259,20 +257,21 @@ def _pushes(result: SimulationResult, opened: SimulationResult | None) -> Iterab
     loops = {"closed" if result.config.closed_loop else "open": push_table(result)}
     if opened is not None:
         loops["open"] = push_table(opened)
-    names = (("slip", "mm", 1e3), ("off", "ms", 1e3), ("farthest", "mm", 1e3), ("left", "mm", 1e3))
-    head = [("push on", ""), ("from", "s"), ("for", "s"), ("force", "N")]
-    head += [(f"{name}, {loop}", unit) for name, unit, _ in names for loop in loops]
-    rows = []
-    for pushed in zip(*loops.values()):
-        push = pushed[0].push
-        size, time = math.hypot(*push.force), push.stop - push.start
-        row = [push.on, f"{push.start:g}", f"{time:.3g}", f"{size:.3g}"]
-        row += [f"{scale * getattr(r, name):.3f}" for name, _, scale in names for r in pushed]
-        rows.append(tuple(row))
-    if not rows:
+    pushes = [report.push for report in next(iter(loops.values()))]
+    if not pushes:
         yield from _explained("No push has begun by the end.")
         return
-    yield from (*table(head, rows, 1), "")
+    yield from _table(
+        ("push on", "", [push.on for push in pushes], "s"),
+        ("from", "s", [push.start for push in pushes], "g"),
+        ("for", "s", [push.stop - push.start for push in pushes], ".3g"),
+        ("force", "N", [math.hypot(*push.force) for push in pushes], ".3g"),
+        *(
+            (f"{name}, {loop}", unit, 1e3 * np.array(_of_each(reports, name)), ".3f")
+            for name, unit in (("slip", "mm"), ("off", "ms"), ("farthest", "mm"), ("left", "mm"))
+            for loop, reports in loops.items()
+        ),
+    )
     yield from _explained(
         "Slip: summed while the finger touches, until the next push begins. Farthest, left: of the "
         "contact point from the one planned at first, at most and when the next push begins. Of a "
