@@ -13,7 +13,7 @@ import logging
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, Role, Sphere
@@ -28,13 +28,12 @@ from contact_system.measures import windows
 from contact_system.plots.style import DISTURBED, INK, colour_of
 from contact_system.writing import writing
 
+from .config import body_names
 from .drake_meshes import rgba
 from .plant import ScenePlant, model_names
 
 if TYPE_CHECKING:
     from .simulation import SimulationResult
-
-Acting = tuple[int | None, float, float]
 
 FILM = "/drake/film"
 BODIES, FORCES = f"{FILM}/bodies", f"{FILM}/forces"
@@ -82,13 +81,7 @@ class Recording:
         self._visualizer: MeshcatVisualizer | None = None
 
     def Add(self, builder: DiagramBuilder, scene_plant: ScenePlant) -> None:
-        """Add visualizers of the illustration geometry and of contacts.
-
-        Parameters
-        ----------
-        builder : DiagramBuilder
-        scene_plant : ScenePlant
-        """
+        """Add visualizers of the illustration geometry and of contacts."""
         meshcat, scene, ink = self._meshcat, scene_plant.scene, rgba(INK)
         step, period = scene_plant.plant.time_step(), self._period
         if step:  # a picture between two steps would cut the planner's steps
@@ -161,15 +154,12 @@ def look_at(meshcat: Meshcat, scene: Scene, points: Array | None = None) -> Arra
     return middle
 
 
-def disturbances(result: SimulationResult) -> list[Acting]:
-    """What disturbs: a contact, or None for the object, and from when to when, s."""
-    scene, planned = result.scene, plan(result.scene)
-    names = [scene.contact_name(i) for i in range(len(scene.contacts))]
-    found: list[Any] = [(i, *w) for i in range(len(names)) for w in windows(planned, i)]
-    for push in result.config.pushes:
-        on = None if push.on == "object" else names.index(push.on)
-        found.append((on, push.start, push.stop))
-    return found
+def disturbances(result: SimulationResult) -> list[tuple[int, float, float]]:
+    """What disturbs: a body's number in `body_names`, and from when to when, s."""
+    planned, names = plan(result.scene), body_names(result.scene)
+    found = [(i, *w) for i in range(len(result.scene.contacts)) for w in windows(planned, i)]
+    pushes = result.config.pushes
+    return found + [(names.index(push.on), push.start, push.stop) for push in pushes]
 
 
 def draw(meshcat: Meshcat, result: SimulationResult) -> None:
@@ -185,15 +175,15 @@ def draw(meshcat: Meshcat, result: SimulationResult) -> None:
             for frame, segments in enumerate(np.searchsorted(drawn, times).tolist()):
                 recording.SetProperty(frame, f"{path}/<object>", "drawn", float(segments))
     for i, contact in enumerate(scene.contacts):
-        path = f"{_branch(scene, None)}/point {i}"
+        path = f"{_branch(scene, -1)}/point {i}"
         meshcat.SetObject(path, Sphere(DOT * contact.finger.size), rgba("#ffffff"))
         for frame, point in enumerate(result.measured["contact_point"][frames, i]):
             recording.SetTransform(frame, path, RigidTransform(point))
     acting = disturbances(result)
+    bodies = [*(contact.finger for contact in scene.contacts), scene.object]
     for on in {on for on, _, _ in acting}:
-        body = scene.object if on is None else scene.contacts[on].finger
         path = f"{_branch(scene, on)}/disturbed"
-        meshcat.SetObject(path, Sphere(HALO * body.size), rgba(DISTURBED, 0.35))
+        meshcat.SetObject(path, Sphere(HALO * bodies[on].size), rgba(DISTURBED, 0.35))
         meshcat.SetProperty(f"{path}/<object>", "material.depthWrite", False)
         recording.SetProperty(0, path, "visible", False)
         for _, start, stop in sorted(event for event in acting if event[0] == on):
@@ -207,9 +197,9 @@ def draw(meshcat: Meshcat, result: SimulationResult) -> None:
         recording.SetTransform(frame, FILM, X)
 
 
-def _branch(scene: Scene, on: int | None) -> str:
-    """Of Meshcat's tree, of the object or of a finger."""
-    name = "object" if on is None else model_names(scene)[on]
+def _branch(scene: Scene, on: int) -> str:
+    """Of Meshcat's tree, of a finger or, after them, of the object."""
+    name = [*model_names(scene), "object"][on]
     return f"{BODIES}/{name}/{name}"
 
 
@@ -221,7 +211,7 @@ def _curves(
     for i, contact in enumerate(scene.contacts):
         u1, v1, u2, v2 = state[:, i, [0, 1, 4, 5]].T
         out, size, colour = scene.object.normal(u2, v2), contact.finger.size, colour_of(i)
-        own, finger = _branch(scene, None), _branch(scene, i)
+        own, finger = _branch(scene, -1), _branch(scene, i)
         planned, measured = (w["contact_point"][:, i] for w in (result.planned, result.measured))
         on_finger = contact.finger.point(u1, v1), contact.finger.normal(u1, v1)
         for path, points, normals, width, shade in (
@@ -250,7 +240,8 @@ def _views(result: SimulationResult, middle: Array, times: Array) -> Iterator[Ri
     frames, acting = np.searchsorted(result.t, times), disturbances(result)
     at = result.measured["state"][frames]
     normals = result.scene.object.normal(at[..., 4], at[..., 5])
-    fingers = [event for event in acting if event[0] is not None] or [(0, 0.0, 0.0)]
+    contacts = range(len(result.scene.contacts))
+    fingers = [event for event in acting if event[0] in contacts] or [(0, 0.0, 0.0)]
     turn, most = Rotation.identity(), math.pi
     for t, X_WO, normal in zip(times, result.object_pose[frames], normals):
         # the finger that is disturbed now, last or next
