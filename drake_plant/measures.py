@@ -292,17 +292,7 @@ def push_table(result: SimulationResult) -> list[PushReport]:
 
 
 def contact_table(result: SimulationResult) -> list[ContactReport]:
-    """Measure every contact of a simulation.
-
-    Parameters
-    ----------
-    result : SimulationResult
-
-    Returns
-    -------
-    list of ContactReport
-        In the scene's order.
-    """
+    """Measure every contact of a simulation, in the scene's order."""
     of_kind(SimulationResult, result, "result", "a SimulationResult")
     planned, t = plan(result.scene), result.t  # the plan knows the windows of every contact
     disturbed = [windows(planned, i) for i in range(len(result.scene.contacts))]
@@ -316,7 +306,10 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
         found = _rolling(result, i, early, steady)
         found |= _rejection(result, i, own, acting[:, 0], found["slip_before"])
         name = result.scene.contact_name(i)
-        reports.append(ContactReport(name=name, off=float(off[i]), kept=kept, **found))
+        pushed = any(p.on in (name, "object") and p.start < t[-1] for p in result.config.pushes)
+        reports.append(
+            ContactReport(name=name, off=float(off[i]), kept=kept, pushed=pushed, **found)
+        )
     return reports
 
 
@@ -431,12 +424,10 @@ def _rejection(
     before : greatest slip before any disturbance, m/s
     """
     t, slip = result.t, np.linalg.norm(result.measured["slip"][:, i], axis=1)
-    bodies = (result.scene.contact_name(i), "object")
-    pushed = any(push.on in bodies and push.start < t[-1] for push in result.config.pushes)
     over = [window for window in disturbed if window[1] <= t[-1]]
     if not over:
         nothing = ("disturbed_slip", "saturated", "recovery", "followed", "reported")
-        return dict.fromkeys(nothing, math.nan) | {"slid": False, "pushed": pushed}
+        return dict.fromkeys(nothing, math.nan) | {"slid": False}
     start, stop = over[-1]
     # the rows of steps that began in it, but for what rounding makes of times; none ended at t[0]
     later = (1 - NEAR) * result.config.time_step
@@ -454,7 +445,6 @@ def _rejection(
     until = begins[begins >= stop].min(initial=t[-1])
     own = t <= until
     return {
-        "pushed": pushed,
         "disturbed_slip": mean,
         "saturated": _mean(at_limit[during], time),
         "slid": slid,
