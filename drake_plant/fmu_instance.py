@@ -9,6 +9,7 @@ import shutil
 import tempfile
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from ctypes import c_void_p
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,25 +39,20 @@ SLACK = 1e-6
 WARNING, FATAL = 1, 4  # statuses, the same in FMI 2 and 3
 
 
-class _Listening(threading.local):
-    """Where a thread's messages go while an instance is called.
+_CALLBACKS: list[Any] = []
+_LOG: ContextVar[collections.deque[tuple[int, str]] | None] = ContextVar("log", default=None)
+"""Where a thread's messages go while an instance is called."""
+
+
+def _note(*said: Any) -> None:
+    """What an FMU says; FMI 2 has an instance's name before the status.
 
     Of FMI 2 fmpy hands all messages of a process to the logger that it was given last, also those
     of other FMUs after that logger's instance is gone; so it is one function, and stays.
     """
-
-    log: collections.deque[tuple[int, str]] | None = None
-
-
-_LISTENING = _Listening()
-_CALLBACKS: list[Any] = []
-
-
-def _note(*said: Any) -> None:
-    """What an FMU says; FMI 2 has an instance's name before the status."""
     status, _, message = said[-3:]
-    if _LISTENING.log is not None:
-        _LISTENING.log.append((status, (message or b"").decode(errors="replace").strip()))
+    if (log := _LOG.get()) is not None:
+        log.append((status, (message or b"").decode(errors="replace").strip()))
     elif len(said) == 5:  # of another FMU, as fmpy does by itself
         printLogMessage(*said)
 
@@ -293,7 +289,7 @@ class Instance:
     def _doing(self, what: str, time: float) -> Iterator[None]:
         """Errors of FMI calls inside, in words."""
         self._log.clear()
-        outside, _LISTENING.log = _LISTENING.log, self._log
+        outside = _LOG.set(self._log)
         try:
             yield
         except ContactSystemError:
@@ -309,7 +305,7 @@ class Instance:
                 + "".join(f" It says: {text}" for text in said)
             ) from error
         finally:
-            _LISTENING.log = outside
+            _LOG.reset(outside)
 
     def _free(self) -> None:
         for moment in list(self._states):
