@@ -1,8 +1,7 @@
 r"""Forces that move free fingertips as planned relative to a moving object.
 
-A fingertip is a free body, whose wrench is the law of `tip_law`. Along the normal that has only a
-damper here, so that the contact itself decides how far the finger sinks in. Slip is rejected with
-the planned curve held: to plan anew from where a pushed finger is adds slip.
+A fingertip is a free body, whose wrench is the law of `tip_law`. Slip is rejected with the planned
+curve held: to plan anew from where a pushed finger is adds slip.
 """
 
 from __future__ import annotations

@@ -51,17 +51,13 @@ def check_depth(scene: Scene, config: StationConfig) -> None:
     depth = contact_depth(config)
     for i, contact in enumerate(scene.contacts):
         for body in (contact.finger, scene.object):
-            thin = least_radius(body)
+            thin = body.c if isinstance(body, Ellipsoid) else body.bend
             if not depth < thin / 2:
                 raise SceneError(
                     f"stiffness = {config.stiffness!r}: contact {i} would be {depth:.3g} m deep at "
                     f"normal_force = {config.normal_force!r}, which is too much for {body!r}; give "
                     f"a stiffness far above {config.stiffness * depth / (thin / 2):.3g} N/m"
                 )
-
-
-def least_radius(body: Surface) -> float:
-    return body.c if isinstance(body, Ellipsoid) else body.bend
 
 
 def rolling_scene(scene: Scene, config: StationConfig) -> Scene:
