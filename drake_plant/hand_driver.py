@@ -85,7 +85,10 @@ class HandDriver(LeafSystem):
         self._radii = np.array([[contact.finger.size] for contact in plan.rolling.contacts])
         tips = scene_plant.finger_bodies
         constants = [tip_constants(tip, scene_plant, hold=1.0) for tip in tips]
-        self._own = PerThread(partial(_own, plan, constants), {})
+        # links without tips, whose mass the law carries
+        links = partial(Chains, plan.hand, plan.rolling, 0.0, plan.config.gravity)
+        self._chains = PerThread(links, {})
+        self._laws = PerThread(partial(FingerTables, holding_law(), HELD, constants), {})
         self._state = self.DeclareVectorInputPort("state", plant.num_multibody_states())
         (self._poses,) = declare_plant_inputs(self, plant, "body_poses")
         self._sliding = self.DeclareVectorInputPort("sliding", 3 * len(constants))
@@ -114,7 +117,7 @@ class HandDriver(LeafSystem):
 
     def _CalcLaw(self, context: Context) -> Array:
         """Torques of the joints, and what pushes on the tips are to them, (2, nq)."""
-        (chains, laws), x = self._own.own, self._state.Eval(context)
+        chains, laws, x = self._chains.own, self._laws.own, self._state.Eval(context)
         q, v = x[self._at_q], x[self._sizes[0] :][self._at_v]
         time, (first, last) = context.get_time(), self.plan.t[[0, -1]]
         inside = min(max(time, first), last)
@@ -165,9 +168,3 @@ class HandDriver(LeafSystem):
         off = way_to(self.plan.wanted(context.get_time()), X_WO)
         now = state.get_mutable_discrete_state().get_mutable_value()
         now += CORRECTION * self._step * off
-
-
-def _own(plan: Reorientation, constants: list[list[float]]) -> tuple[Chains, FingerTables]:
-    """Links without tips, whose mass the law carries, and the law of all tips, for one thread."""
-    laws = FingerTables(holding_law(), HELD, constants)
-    return Chains(plan.hand, plan.rolling, 0.0, plan.config.gravity), laws
