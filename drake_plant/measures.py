@@ -38,7 +38,7 @@ LATELY, MOMENT = 0.5, 0.01
 """How long, before the end, that is judged, and in what time a speed is measured [s]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ContactReport:
     """One contact of a simulation. SI units; NaN where there is nothing to measure.
 
@@ -101,13 +101,13 @@ class ContactReport:
     rolling_friction: float
     rolling_slip: float
     pushed: bool
-    disturbed_slip: float
-    saturated: float
-    slid: bool
+    disturbed_slip: float = math.nan
+    saturated: float = math.nan
+    slid: bool = False
     slip_before: float
-    recovery: float
-    followed: float
-    reported: float
+    recovery: float = math.nan
+    followed: float = math.nan
+    reported: float = math.nan
     distance: float
 
     @property
@@ -426,8 +426,7 @@ def _rejection(
     t, slip = result.t, np.linalg.norm(result.measured["slip"][:, i], axis=1)
     over = [window for window in disturbed if window[1] <= t[-1]]
     if not over:
-        nothing = ("disturbed_slip", "saturated", "recovery", "followed", "reported")
-        return dict.fromkeys(nothing, math.nan) | {"slid": False}
+        return {}
     start, stop = over[-1]
     # the rows of steps that began in it, but for what rounding makes of times; none ended at t[0]
     later = (1 - NEAR) * result.config.time_step
