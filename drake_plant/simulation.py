@@ -7,6 +7,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -39,9 +40,8 @@ INTEGRATION = SimulatorConfig(
     integration_scheme="runge_kutta3", accuracy=1e-3, max_step_size=1e-3, use_error_control=True
 )
 """Of the planner's states beside a discrete plant: within 1.1e-5 m of the plan over all of D1."""
-CONTINUOUS = SimulatorConfig(
-    integration_scheme="runge_kutta3", accuracy=1e-4, max_step_size=1e-3, use_error_control=True
-)
+CONTINUOUS = copy(INTEGRATION)
+CONTINUOUS.accuracy = 1e-4
 """Of a continuous plant: with a larger accuracy the planner is further off than it may be."""
 
 
@@ -175,8 +175,7 @@ def simulate(
     """
     gc.collect()  # Diagrams are cycles: free those of runs before this one
     config = checked(scene, config, "station")
-    duration, step = _lasting(scene, config, duration)
-    period = step * max(1, math.floor(min(LOGGED, duration) / step + NEAR))
+    duration = _lasting(scene, config, duration)
     if config.hand is not None:
         planned_hand = plan_reorientation(config.hand, scene, config=config)
         return simulate_hand(planned_hand, duration, progress, recording)
@@ -189,7 +188,7 @@ def simulate(
     asked: Asked = {name: partial(planner.Evaluate, own, name) for name in PLANNED}
     for name in BALANCED if config.balances else ():
         asked[name] = partial(run.station.GetOutputPort(f"planned_{name}").Eval, run.root)
-    t, said, measured = run.follow(duration, period, progress, asked)
+    t, said, measured = run.follow(duration, progress, asked)
     planned = {name: said[name] for name in PLANNED}
     planned["contact_point"] = planned["contact_point"][:, :, 3:]
     for name, constant in zip(BALANCED, (config.normal_force, 0.0)):
@@ -210,7 +209,7 @@ def simulate_hand(
 ) -> HandResult:
     """Simulate a plan from its start: see :func:`simulate`."""
     of_kind(Reorientation, plan, "plan", "a Reorientation")
-    duration, _ = _lasting(plan.scene, plan.config, duration)
+    duration = _lasting(plan.scene, plan.config, duration)
     run = Run(plan.scene, plan.config, partial(BuildHandStation, plan), recording)
     driver, plant = run.station.GetSubsystemByName("driver"), run.parts.plant
     own, physics = (system.GetMyContextFromRoot(run.root) for system in (driver, plant))
@@ -219,7 +218,7 @@ def simulate_hand(
         "q": lambda: plant.GetPositions(physics)[joints],
         "torque": partial(driver.GetOutputPort("torque").Eval, own),
     }
-    t, said, measured = run.follow(duration, LOGGED, progress, asked)
+    t, said, measured = run.follow(duration, progress, asked)
     seen = t, _hand_planned(plan, t), measured, said["pose"], *run.times
     wanted = np.array([plan.wanted(x).GetAsMatrix4() for x in t])
     result = HandResult(plan.rolling, plan.config, *seen, plan, wanted, said["q"], said["torque"])
@@ -227,8 +226,8 @@ def simulate_hand(
     return result
 
 
-def _lasting(scene: Scene, config: StationConfig, duration: float | None) -> tuple[float, float]:
-    """How long a simulation and a step of it last, s."""
+def _lasting(scene: Scene, config: StationConfig, duration: float | None) -> float:
+    """How long a simulation lasts, s."""
     duration = scene.duration if duration is None else duration
     step = config.time_step or CONTINUOUS.max_step_size
     if not finite_number(duration, f"{scene.title}: duration") >= step:
@@ -236,7 +235,7 @@ def _lasting(scene: Scene, config: StationConfig, duration: float | None) -> tup
             f"{scene.title}: a simulation of {duration!r} s with a time_step of {step:g} "
             "s: give a finite time of at least one step"
         )
-    return duration, step
+    return duration
 
 
 def _hand_planned(plan: Reorientation, t: Array) -> dict[str, Array]:
@@ -287,15 +286,17 @@ class Run:
         self.root = self._simulator.get_mutable_context()
 
     def follow(
-        self, duration: float, period: float, progress: Callable[[float], None] | None, asked: Asked
+        self, duration: float, progress: Callable[[float], None] | None, asked: Asked
     ) -> tuple[Array, dict[str, Array], dict[str, Array]]:
         """Simulate to the end; returns times, what was said then, also of the object's pose, and
         what was measured.
 
-        Ends of steps are logged: about a period apart, and of every step in which a finger is off
+        Ends of steps are logged: about `LOGGED` apart, and of every step in which a finger is off
         the object.
         """
         step, plant, rows, following = self._config.time_step, self.parts.plant, [], 0
+        longest = step or CONTINUOUS.max_step_size
+        period = longest * max(1, math.floor(min(LOGGED, duration) / longest + NEAR))
         physics = plant.GetMyContextFromRoot(self.root)
         monitor = self.station.GetSubsystemByName("monitor")
         measured = partial(monitor.measured, monitor.GetMyContextFromRoot(self.root))
