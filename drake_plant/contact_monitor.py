@@ -73,9 +73,6 @@ PRESSED |= {"point": 3, "force": 3, "torque": 3, "bends": 1}
 """What is known of a contact that presses: what a probe finds from the object's point on; the point
 C, force and torque about it in O where the step began; how much of the contact bends with the
 finger."""
-# Bodies planned on the radii that they roll on meet there. A plane has no radius: there it is where
-# the planned finger's surface is.
-AT_FINGER = 1.0
 NOISY = ("state", "sliding")
 SATURATED = 0.95
 """Friction counts as saturated from this part of mu N on: facets let N itself ripple."""
@@ -156,6 +153,8 @@ class ContactMonitor(LeafSystem):
         require_alike(scene, scene_plant.scene, scene_plant.config, "monitor")
         self._scene, self._friction = scene, scene_plant.config.friction
         plant, fingers = scene_plant.plant, scene_plant.finger_bodies
+        # Bodies planned on the radii that they roll on meet there. On a plane, which has no radius,
+        # that is where the planned finger's surface is.
         flat = isinstance(scene.object, Plane)
         self._at_finger = [
             flat and rolling.finger != nominal.finger
@@ -233,7 +232,7 @@ class ContactMonitor(LeafSystem):
                 # It acts midway in depth where both are equally stiff, else nearer to the stiffer's
                 # surface; a depth may be 0, or rounding alone.
                 off = math.dist(pair.p_WCa if first else pair.p_WCb, p_WC)
-                share = AT_FINGER if self._at_finger[i] else min(1.0, off / max(pair.depth, TINY))
+                share = 1.0 if self._at_finger[i] else min(1.0, off / max(pair.depth, TINY))
                 gauges.touch(i, share, 0.0, p_WC, force if first else -force, 0.0)
 
 

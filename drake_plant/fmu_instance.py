@@ -87,8 +87,6 @@ class Instance:
         self._turn = threading.RLock()  # FMI allows no calls of one FMU at the same time
         self._states: dict[int, c_void_p] = {}  # the FMU's own copies, by the Moment's id
         self._log: collections.deque[tuple[int, str]] = collections.deque(maxlen=20)
-        self._start_values: Mapping[str, Any] = {}
-        self._outputs: list[PortVariables] = []
         self._made_folder: str | None = None
         self._path = path = a_path(fmu, "FmuSystem: fmu")
         with contextlib.ExitStack() as undo:

@@ -19,7 +19,7 @@ from contact_system.plots import Picture, contact_keys, draw_title, shade_window
 from contact_system.plots.bodies import best_view, draw_body, is_hidden
 from contact_system.plots.curves import curve_of
 from contact_system.plots.meshes import mesh_of
-from contact_system.plots.style import DISTURBED, INK, RECOVERY, colour_of
+from contact_system.plots.style import DISTURBED, INK, RECOVERY, TITLE, colour_of
 
 from .measures import hand_report, misses, path_slid
 from .simulation import HandResult, SimulationResult
@@ -153,7 +153,7 @@ HAND_PANELS = (_draw_errors, _draw_slipped, _draw_cones, _draw_torques)
 
 
 def _titled(ax: Any, title: str, **axis: Any) -> None:
-    ax.set_title(title, loc="left", weight="bold")
+    ax.set_title(title, **TITLE)
     ax.set(**axis)
 
 

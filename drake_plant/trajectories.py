@@ -17,8 +17,6 @@ from contact_system.plan import require_plan
 
 FIRST, MOST = 64, 2**17
 """Pieces of a trajectory at first, and the most before a tolerance is refused."""
-ROWS = ((0, 6), (6, 3), (9, 3), (12, 3))
-"""Of twist, position and contact points on finger and object, where they begin, and how many."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,8 @@ def MakeTrajectories(plan: Plan, contact: int = 0, tolerance: float = 1e-5) -> C
     t, turns, (whole, *others) = zip(*(_fitted(plan, contact, span, tolerance) for span in spans))
     for other in others:
         whole.ConcatenateInTime(other)
-    twist, position, *points = (whole.Block(k, 0, n, 1) for k, n in ROWS)
+    rows = (0, 6), (6, 3), (9, 3), (12, 3)  # as `_fitted` stacks them
+    twist, position, *points = (whole.Block(k, 0, n, 1) for k, n in rows)
     # neighbouring parts share a break
     breaks, first = np.unique(np.concatenate(t), return_index=True)
     rotations = [RotationMatrix(R) for R in np.concatenate(turns)[first]]
