@@ -111,14 +111,11 @@ class ContactPlanner(_Convertible, LeafSystem):
       and its rate.
     - `restarts` (n): how often each contact's plan began anew.
 
-    The continuous state is that of :class:`contact_system.SceneSystem`: u1 v1 u1' v1' u2 v2 u2'
-    v2' psi a contact for ``coordinates="chart"``; moving frames without poles and, but for
-    accelerated contacts, without the stiffness of lam for ``coordinates="frame"``. It starts as
-    the scene says. What the scene's windows add follows from the time, at an edge what acts after
-    it; events just before the edges and at them keep integrators from stepping across one. In
-    frame coordinates a discrete state holds W_1, V and its time where the planner restarts or
-    contacts have legs, and of those the leg; events at corners turn W_1. The last one of a planner
-    that restarts counts the restarts.
+    The continuous state is x of :class:`contact_system.SceneSystem`, and starts as the scene says.
+    What the scene's windows add follows from the time, at an edge what acts after it; events just
+    before the edges and at them keep integrators from stepping across one. In frame coordinates a
+    discrete state has ``held`` where the planner restarts or contacts have legs; events at corners
+    turn it. The last one of a planner that restarts counts the restarts.
 
     States of :meth:`contact_system.SceneSystem.from_states` can be started from in chart
     coordinates. In frame coordinates W_1 and V of contacts that nothing accelerates are no
@@ -144,7 +141,8 @@ class ContactPlanner(_Convertible, LeafSystem):
     ----------
     scene : Scene
     coordinates : "chart" or "frame", optional
-        By default charts, or frames where the scene has legs, sigma = 0 or a surface without one.
+        Of the states, as ``help(contact_system.system)`` explains. By default charts, or frames
+        where the scene has legs, sigma = 0 or a surface without a chart.
     disturbance_input : bool
     restart_period : float, optional
         s. A discrete plant's state between two steps is that of the next one:

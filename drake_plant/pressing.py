@@ -61,19 +61,13 @@ def check_depth(scene: Scene, config: StationConfig) -> None:
 
 
 def rolling_scene(scene: Scene, config: StationConfig) -> Scene:
-    """The scene with bodies as large as they roll once pressed together.
+    """The scene with bodies as large as they roll once the configuration presses them together.
 
     A compliant finger gives way to a rigid object, so it rolls on a surface by the depth inside its
     own; two equal point contacts share the depth. (That the patch is curved does not matter: what
     the object's surface drops towards the rim the tilt of friction there makes up for, see
     `contact_monitor`.) Of spheres, cylinders and tori that surface is another of their kind, and so
     it is nearly of ellipsoids; of others it is their equation, shifted along the normal.
-
-    Parameters
-    ----------
-    scene : Scene
-    config : StationConfig
-        Its normal force and stiffness say the depth.
 
     Raises
     ------

@@ -1,12 +1,4 @@
-"""A scene wired up: planner, plant, driver and contact monitor in one Diagram.
-
-``BuildStation`` gives the Diagram, ``SetInitialState`` puts its bodies where the plan starts::
-
-    station = BuildStation(scene)                      # systems "planner", "plant", "driver", ...
-    simulator = Simulator(station)
-    SetInitialState(station, simulator.get_mutable_context())
-    simulator.AdvanceTo(4.0)
-"""
+"""A scene wired up: planner, plant, driver and contact monitor in one Diagram."""
 
 from __future__ import annotations
 
