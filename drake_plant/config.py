@@ -36,10 +36,7 @@ CHOICES = {
 EDGES = ("finger_edge", "object_edge")
 GAINS = ("position_gain", "velocity_gain", "normal_damping", "rotation_gain", "spin_gain")
 RESTARTS = ("restart_period", "restart_distance")
-ABOVE_0 = {  # of other numbers none is below 0
-    *("object_mass", "finger_mass", "stiffness", "normal_force", "friction_share", "object_rate"),
-    *(*EDGES, "restart_period"),
-}
+MAY_BE_0 = {"time_step", "friction", "gravity", *GAINS, "slip_gain", "restart_distance"}
 HANDS_ONLY = ("turn", "move")
 TIPS_ONLY = ("object_rate", "coordinates", "disturbance_input", *RESTARTS)  # that are free
 
@@ -162,10 +159,9 @@ class StationConfig:
     disturbance_input : bool
         Whether the planner's `disturbance` port is there, exported.
     restart_period, restart_distance : float or None
-        The planner restarts from the measured state every so many seconds; with both, only
-        contacts that are so many m from the planned point; with the distance alone, looked at every
-        0.01 s. None: it does not. Restarts have to fall on steps of the plant. Slip is rejected by
-        the driver's ``slip_gain``; a restart serves where the way back to the curve is too long.
+        Of the :class:`ContactPlanner`, s and m; without any it does not restart. Restarts have to
+        fall on steps of the plant. Slip is rejected by the driver's ``slip_gain``; a restart serves
+        where the way back to the curve is too long.
     pushes : list of Push
         Where there are any, they are what the port `push` would give.
     hand : Hand or None
@@ -235,7 +231,7 @@ class StationConfig:
             if value is None and f.type in (float | None, str | None):
                 continue
             if f.type in (float, float | None):
-                finite_number(value, f.name, "above 0" if f.name in ABOVE_0 else "not below 0")
+                finite_number(value, f.name, "not below 0" if f.name in MAY_BE_0 else "above 0")
             elif f.name in CHOICES:
                 one_of(value, CHOICES[f.name], f.name)
         flag(self.disturbance_input, "disturbance_input")
