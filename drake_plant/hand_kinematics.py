@@ -296,7 +296,7 @@ class Chains:
             q = q + np.clip(self.moved(q, off), -0.3, 0.3)
         i = int(np.argmax(left))
         why = f"{left[i]:.2g} m or rad are left, with {self._limits(self.joints[i], q)}"
-        raise self.short_of(self.joints[i][0], t, why)
+        raise self.short_of(i, t, why)
 
     def moved(self, q: Array, twists: Array) -> Array:
         """Velocities (nq,) of joints at which tips have V_WF, (n, 6)."""
@@ -334,11 +334,11 @@ class Chains:
         over = self.room(q) < AT_LIMIT * self.unit
         if over.any():
             k, joint = np.argwhere(over)[0]
-            raise self.short_of(joint, t[k], self._limits([joint], q[k]))
+            i = next(i for i, own in enumerate(self.joints) if joint in own)
+            raise self.short_of(i, t[k], self._limits([joint], q[k]))
 
-    def short_of(self, joint: int, t: float, why: str) -> SceneError:
-        """What to raise where the finger of a joint cannot follow."""
-        i = next(i for i, own in enumerate(self.joints) if joint in own)
+    def short_of(self, i: int, t: float, why: str) -> SceneError:
+        """What to raise where a finger cannot follow."""
         return SceneError(
             f"{self.scene.contact_name(i)} does not get as far: at t = {t:.3g} s {why}"
         )
