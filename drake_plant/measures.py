@@ -19,23 +19,13 @@ from .config import Push, body_names
 from .contact_monitor import SATURATED
 from .simulation import CONTINUOUS, NEAR, HandResult, SimulationResult, simulate
 
-EDGE = 0.1
-"""Time after the start, and before and after a disturbance's edge, that counts as transient [s]."""
-
-STANDING = 1e-4
-"""Part of a contact's greatest speed below which slip relative to its speed says nothing."""
-
-ROLLS = 1e-2
-"""Part of sigma below which planned slip counts as rolling."""
-
+EDGE = 0.1  # s, after the start, and before and after a disturbance's edge: that is transient
+STANDING = 1e-4  # of a contact's greatest speed: below, slip relative to its speed says nothing
+ROLLS = 1e-2  # of sigma, below which planned slip counts as rolling
+# Slip counts as sliding above so many times that before any disturbance, and this, m/s.
 SLIDING, CREEPING = 10.0, 1e-3
-"""Slip counts as sliding above so many times that before any disturbance, and this [m/s]."""
-
-CARRIED = 0.95
-"""Part of its weight that carries an object."""
-
-LATELY, MOMENT = 0.5, 0.01
-"""How long, before the end, that is judged, and in what time a speed is measured [s]."""
+CARRIED = 0.95  # part of its weight that carries an object
+LATELY, MOMENT = 0.5, 0.01  # s before the end that are judged, and in which a speed is measured
 
 
 @dataclass(frozen=True, kw_only=True)
