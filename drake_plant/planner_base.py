@@ -19,8 +19,8 @@ from .scalars import select
 
 EARLY = 1e-9
 """Restarts and pushes happen so much before their time, s, as a step may come late by rounding."""
-ONCE = 1e9
-"""Period of an event that happens once, s."""
+AGES = 1e9
+"""Longer than any simulation, s: the period of an event that happens once."""
 PORTS = {
     "state": 9,
     "slip": 2,
@@ -68,12 +68,12 @@ class PlannerBase(_System):
         # next one begins at it.
         for edge in system.edges:
             for time in (max(0.0, math.nextafter(edge, -math.inf)), edge):
-                self.DeclarePeriodicPublishEvent(ONCE, time, lambda context: None)
+                self.DeclarePeriodicPublishEvent(AGES, time, lambda context: None)
         turns = system.corners if x0 is not None else ()
         if len(system.held0) and x0 is not None and (turns or period is not None):
             self._held = self.DeclareDiscreteState(BasicVector_[self.T](system.held0))
         for edge in turns:
-            self.DeclarePeriodicUnrestrictedUpdateEvent(ONCE, edge, weakly(self._Turn, edge))
+            self.DeclarePeriodicUnrestrictedUpdateEvent(AGES, edge, weakly(self._Turn, edge))
         if system.disturbance_input:
             self._disturbance = self.DeclareVectorInputPort("disturbance", 6 * n)
         if period is not None:

@@ -78,6 +78,7 @@ from .config import EDGES, StationConfig, checked
 from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
 from .hand_kinematics import add_hand
 from .meshes import SurfaceMesh, contact_mesh, domain_of
+from .planner_base import AGES
 from .pressing import Touch, check_depth, contact_depth, touches_of
 
 # Gap that opens along an edge, in depths. What a facet stands off the surface ripples with the
@@ -100,7 +101,6 @@ WIDEST_GAP = 10.0
 REACH = 0.02  # m, that meshes of unbounded surfaces reach beyond the planned patches
 STRIP = 0.01  # m, that a mesh of too many triangles is fine beyond the planned patches
 TURNING_GAIN = 1e8  # N m/rad
-AGES = 1e9  # s
 MOTIONS = "body_poses", "body_spatial_velocities"  # ports of plants
 OPACITY = 0.6  # of fingers, and of objects around them, so that contacts are seen through them
 

@@ -26,9 +26,9 @@ from .hand_driver import HandDriver
 from .hand_kinematics import moving_joints
 from .plan_check import TOLERANCE
 from .plan_source import PlanSource
-from .planner_base import EARLY, PlannerBase
+from .planner_base import AGES, EARLY, PlannerBase
 from .planner_system import ContactPlanner
-from .plant import AGES, MOTIONS, AddScenePlant, ScenePlant, turning_angle
+from .plant import MOTIONS, AddScenePlant, ScenePlant, turning_angle
 from .pressing import contact_depth, depth_between, require_alike, rolling_scene
 from .reorientation import Reorientation
 
