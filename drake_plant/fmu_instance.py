@@ -154,9 +154,8 @@ class Instance:
         given = np.ravel([] if isinstance(value, (str, tuple)) else value)
         if given.dtype == object and all(isinstance(x, int) for x in given):
             given = given.astype(float)
-        if not carried(variable) or given.dtype.kind not in "biuf":
-            return
-        if len(given) == size_of(variable):
+        fits = given.dtype.kind in "biuf" and len(given) == size_of(variable)
+        if fits and carried(variable):
             if problem := PortVariables([variable], self.version).check(given):
                 raise ContactSystemError(f"{self.name}, start_values: {problem}; give one that is")
 
