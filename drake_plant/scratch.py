@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import threading
 from collections.abc import Callable, Sequence
 from types import SimpleNamespace
@@ -30,9 +31,8 @@ class Scratch:
     """
 
     def __init__(self, system: SceneSystem):
-        self._system = system
+        self._machine = functools.cache(functools.partial(SystemMachine, system))
         self.same = (0.0, 0.0)
-        self._machines: dict[tuple[str, ...], SystemMachine] = {}
         machine = SystemMachine(system, "derivatives", "guard", "clearance")
         sizes = (1, len(system.x0), system.n_w, len(system.held0))
         self.given = np.split(machine.point, np.cumsum(sizes)[:-1])
@@ -47,9 +47,7 @@ class Scratch:
 
     def evaluate(self, *outputs: str) -> list[Array]:
         """Outputs of what is loaded; the next call overwrites them."""
-        if outputs not in self._machines:
-            self._machines[outputs] = SystemMachine(self._system, *outputs)
-        machine = self._machines[outputs]
+        machine = self._machine(*outputs)
         machine.point[:] = self._given
         machine.run()
         return machine.parts
