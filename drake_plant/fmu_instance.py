@@ -95,6 +95,8 @@ class Instance:
             self.description = read_description(path, self._folder)
             self.version = int(self.description.fmiVersion[0])
             self._library = library_of(path, self._folder, self.description)
+            # whether the FMU can go back to where it was
+            self.keeps_states = self.description.coSimulation.canGetAndSetFMUstate
             self.name = name or self.description.modelName
             undo.pop_all()
 
@@ -109,11 +111,6 @@ class Instance:
             within("FMU_BYTES", total, "bytes when unpacked", ContactSystemError)
             archive.extractall(self._made_folder)  # inside of it, whatever the names
         return Path(self._made_folder)
-
-    @property
-    def keeps_states(self) -> bool:
-        """Whether the FMU can go back to where it was."""
-        return self.description.coSimulation.canGetAndSetFMUstate
 
     # --- variables
 
