@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from contact_system.errors import SurfaceError
 from contact_system.surfaces import ImplicitSurface, Surface, Torus
 
-from .meshes import Array, Domain, SurfaceMesh, Triangles, edges_of, outward, refined
+from .meshes import Array, Domain, SurfaceMesh, Triangles, edges_of, refined
 
 FINER = 2  # halvings of the triangles that are painted in one of two shades
 SHADE = 0.65  # brightness of the darker one
@@ -127,7 +127,7 @@ def painted(domain: Domain, colour: Rgba) -> list[tuple[Mesh, Rgba]]:
     points, normals = domain.place(q)
     lines = _rows("v %.5g %.5g %.5g", points)
     lines += _rows("vn %.3f %.3f %.3f", normals)
-    facing = np.repeat(outward(points, normals, triangles) + 1, 2, axis=1)
+    facing = np.repeat(triangles + 1, 2, axis=1)
     shaded = Rgba(*(SHADE * c for c in (colour.r(), colour.g(), colour.b())), colour.a())
     return [
         (_in_memory(lines + _rows("f %d//%d %d//%d %d//%d", facing[part]), ".obj"), shade)

@@ -84,7 +84,8 @@ class RoundDomain:
         return _unit(a + b)
 
     def base(self, size: float) -> tuple[Array, Triangles]:
-        return icosphere(max(1, round(size)))
+        q, triangles = icosphere(max(1, round(size)))
+        return q, outward(*self.place(q), triangles)
 
 
 class ChartDomain:
@@ -139,7 +140,8 @@ class ChartDomain:
         grid = np.pad(np.arange(len(q)).reshape(row.shape), seams, mode="wrap")
         a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
         triangles = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
-        return self._first + q * self._sides, triangles
+        q = self._first + q * self._sides
+        return q, outward(*self.place(q), triangles)
 
 
 Domain = RoundDomain | ChartDomain
@@ -241,7 +243,7 @@ def contact_mesh(
     """
     size = _parts(domain, curve, opposing, gap)
     levels = max(0, math.floor(math.log2(size / domain.coarsest)))
-    q, triangles = _base(domain, size / 2**levels)
+    q, triangles = domain.base(size / 2**levels)
     near = cKDTree(curve)
     everywhere = len(triangles) * 4**levels <= WHOLE
     for _ in range(levels):
@@ -268,15 +270,10 @@ def contact_mesh(
 
 def _parts(domain: Domain, curve: Array, opposing: float, gap: float) -> float:
     """How fine a base mesh would have to be to open ``gap`` along its edges at the curve."""
-    q, triangles = _base(domain, domain.coarsest)
+    q, triangles = domain.base(domain.coarsest)
     mesh = SurfaceMesh(*domain.place(q), triangles)
     at = cKDTree(mesh.points[triangles].mean(axis=1)).query(curve)[1]
     return domain.coarsest * math.sqrt(abs(mesh.gaps(opposing)[at].mean()) / gap)
-
-
-def _base(domain: Domain, size: float) -> tuple[Array, Triangles]:
-    q, triangles = domain.base(size)
-    return q, outward(*domain.place(q), triangles)
 
 
 def refined(
