@@ -181,7 +181,7 @@ def simulate(
         return simulate_hand(planned_hand, duration, progress, recording)
     # meshes have to reach as far as contacts go
     whole = scene if duration <= scene.duration else scene.replace(duration=duration)
-    run = Run(scene, config, partial(build, whole, config, until=duration), recording)
+    run = Run(scene, partial(build, whole, config, until=duration), recording)
     SetInitialState(run.station, run.root)
     planner = run.station.GetSubsystemByName("planner")
     own = planner.GetMyContextFromRoot(run.root)
@@ -210,7 +210,7 @@ def simulate_hand(
     """Simulate a plan from its start: see :func:`simulate`."""
     of_kind(Reorientation, plan, "plan", "a Reorientation")
     duration = _lasting(plan.scene, plan.config, duration)
-    run = Run(plan.scene, plan.config, partial(BuildHandStation, plan), recording)
+    run = Run(plan.scene, partial(BuildHandStation, plan), recording)
     driver, plant = run.station.GetSubsystemByName("driver"), run.parts.plant
     own, physics = (system.GetMyContextFromRoot(run.root) for system in (driver, plant))
     joints = [joint.position_start() for joint in moving_joints(plant)]
@@ -272,17 +272,17 @@ class Run:
     def __init__(
         self,
         scene: Scene,
-        config: StationConfig,
         make: Callable[..., tuple[Diagram, ScenePlant]],
         recording: str | Path | None,
     ):
-        self._config, self._path, self._film = config, Path(), None
+        self._path, self._film = Path(), None
         if recording is not None:  # hours later it has to be written
             self._path, self._film = film_path(scene, recording), Recording()
         self._begun = time.perf_counter()
         self.station, self.parts = make(extend=None if self._film is None else self._film.Add)
         self._simulator = Simulator(self.station)
-        ApplySimulatorConfig(INTEGRATION if config.time_step else CONTINUOUS, self._simulator)
+        discrete = self.parts.config.time_step > 0
+        ApplySimulatorConfig(INTEGRATION if discrete else CONTINUOUS, self._simulator)
         self.root = self._simulator.get_mutable_context()
 
     def follow(
@@ -290,11 +290,9 @@ class Run:
     ) -> tuple[Array, dict[str, Array], dict[str, Array]]:
         """Simulate to the end; returns times, what was said then, also of the object's pose, and
         what was measured.
-
-        Ends of steps are logged: about `LOGGED` apart, and of every step in which a finger is off
-        the object.
         """
-        step, plant, rows, following = self._config.time_step, self.parts.plant, [], 0
+        config, plant, rows, following = self.parts.config, self.parts.plant, [], 0
+        step = config.time_step
         longest = step or CONTINUOUS.max_step_size
         period = longest * max(1, math.floor(min(LOGGED, duration) / longest + NEAR))
         physics = plant.GetMyContextFromRoot(self.root)
@@ -327,7 +325,7 @@ class Run:
         self._simulator.AdvanceTo(duration)
         self.times = made - self._begun, time.perf_counter() - made
         said = {name: np.array(values) for name, values in zip(asked, zip(*rows))}
-        return said["t"], said, _measurements(said["measured"], self._config)
+        return said["t"], said, _measurements(said["measured"], config)
 
     def film(self, result: SimulationResult) -> None:
         """Write the recording that shows a result, if one is wanted."""

@@ -72,10 +72,7 @@ def driving_law() -> Table:
 
 
 def _want(x: SimpleNamespace, normal: ca.SX, normal_rate: ca.SX, h: ca.SX) -> None:
-    """Add the plan carried by the object, in the world, as a discrete plant needs it: `WANTED`.
-
-    Place and acceleration are those of now; the velocity is that which brought the finger here.
-    """
+    """Add the plan carried by the object, in the world, as a discrete plant needs it: `WANTED`."""
     cross = ca.cross
     off, v, spin = x.R_WO @ x.p_OF, x.R_WO @ x.v_OF, x.R_WO @ x.w_OF
     swept = cross(x.w_WO, off)
