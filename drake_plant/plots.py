@@ -19,7 +19,7 @@ from contact_system.plots import Picture, contact_keys, draw_title, shade_window
 from contact_system.plots.bodies import best_view, draw_body, is_hidden
 from contact_system.plots.curves import curve_of
 from contact_system.plots.meshes import mesh_of
-from contact_system.plots.style import DISTURBED, INK, RECOVERY, TITLE, colour_of
+from contact_system.plots.style import DISTURBED, INK, RECOVERY, colour_of
 
 from .measures import hand_report, misses, path_slid
 from .simulation import HandResult, SimulationResult
@@ -87,13 +87,13 @@ def _draw_slip(ax: Any, result: SimulationResult, closed: bool = True) -> None:
     if peak > 0:
         ax.set_ylim(1e-5 * peak, 3 * peak)
     title = "Slip, measured (dashed: of the plan)" if closed else "Slip (dotted: loop open)"
-    _titled(ax, title, ylabel="slip [m/s]")
+    ax.set(title=title, ylabel="slip [m/s]")
 
 
 def _draw_normal(ax: Any, result: SimulationResult) -> None:
     wanted = result.planned["normal_force"]
     _draw_rippling(ax, result.t, result.measured["normal_force"], wanted, 2 * wanted.max())
-    _titled(ax, f"Normal force ({BOLD}; dotted: asked for)", ylabel="force [N]")
+    ax.set(title=f"Normal force ({BOLD}; dotted: asked for)", ylabel="force [N]")
 
 
 def _draw_friction(ax: Any, result: SimulationResult) -> None:
@@ -103,18 +103,18 @@ def _draw_friction(ax: Any, result: SimulationResult) -> None:
         _draw_rippling(ax, result.t, used, result.planned["friction_used"], 1.3)
         ax.axhline(1.0, color=INK, linewidth=0.9)
         title = "Friction used (line: all of the cone; dotted: planned)"
-        _titled(ax, title, ylabel="part of the cone")
+        ax.set(title=title, ylabel="part of the cone")
         return
     friction = np.linalg.norm(result.measured["tangential_force"], axis=2)
     limit = result.config.friction * result.planned["normal_force"]
     _draw_rippling(ax, result.t, friction, limit, 1.3 * limit.max())
-    _titled(ax, rf"Tangential force ({BOLD}; dotted: $\mu N$)", ylabel="force [N]")
+    ax.set(title=rf"Tangential force ({BOLD}; dotted: $\mu N$)", ylabel="force [N]")
 
 
 def _draw_distance(ax: Any, result: SimulationResult, closed: bool = True) -> None:
     distance = 1e3 * np.linalg.norm(misses(result), axis=2)
     _each(ax, result.t, distance, linewidth=1.2, linestyle="-" if closed else ":")
-    _titled(ax, "Measured contact point from the planned one", ylabel="distance [mm]")
+    ax.set(title="Measured contact point from the planned one", ylabel="distance [mm]")
     ax.relim()
     ax.set_ylim(bottom=0.0, top=1.05 * ax.dataLim.ymax or None)
 
@@ -123,14 +123,14 @@ def _draw_errors(ax: Any, result: HandResult) -> None:
     told = hand_report(result)
     for values, style in ((1e3 * told.off, "-"), (np.degrees(told.turned_off), ":")):
         ax.plot(result.t, values, color=INK, linewidth=1.2, linestyle=style)
-    _titled(
-        ax, "Object off its path (dotted: angle, degrees)", ylabel="distance [mm]", ylim=(0, None)
+    ax.set(
+        title="Object off its path (dotted: angle, degrees)", ylabel="distance [mm]", ylim=(0, None)
     )
 
 
 def _draw_slipped(ax: Any, result: HandResult) -> None:
     _each(ax, result.t, 1e3 * np.cumsum(path_slid(result), axis=0), linewidth=1.2)
-    _titled(ax, "Slip, summed", ylabel="slip [mm]", ylim=(0, None))
+    ax.set(title="Slip, summed", ylabel="slip [mm]", ylim=(0, None))
 
 
 def _draw_cones(ax: Any, result: HandResult) -> None:
@@ -138,23 +138,18 @@ def _draw_cones(ax: Any, result: HandResult) -> None:
     _each(ax, result.plan.t, result.plan.cones, linestyle="--")
     ax.axhline(result.config.friction_share, color=INK, linewidth=0.9, linestyle=":")
     title = "Part of the friction cone (dashed: planned; dotted: allowed)"
-    _titled(ax, title, ylabel=r"$f_t / \mu N$", ylim=(0, 1))
+    ax.set(title=title, ylabel=r"$f_t / \mu N$", ylim=(0, 1))
 
 
 def _draw_torques(ax: Any, result: HandResult) -> None:
     for i, own in enumerate(result.plan.chains.joints):
         share = np.abs(result.torque[:, own]) / result.plan.chains.effort[own]
         ax.plot(result.t, share, color=colour_of(i), linewidth=0.9)
-    _titled(ax, "Torques over their limits, each joint", ylabel="part", ylim=(0, 1))
+    ax.set(title="Torques over their limits, each joint", ylabel="part", ylim=(0, 1))
 
 
 PANELS = (_draw_slip, _draw_normal, _draw_friction, _draw_distance)
 HAND_PANELS = (_draw_errors, _draw_slipped, _draw_cones, _draw_torques)
-
-
-def _titled(ax: Any, title: str, **axis: Any) -> None:
-    ax.set_title(title, **TITLE)
-    ax.set(**axis)
 
 
 def _each(ax: Any, t: Array, values: Array, **line: Any) -> None:

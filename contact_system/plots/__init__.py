@@ -32,7 +32,6 @@ from .style import (
     NUMBER,
     RECOVERY,
     STYLE,
-    TITLE,
     colour_of,
     number_of,
     shortened,
@@ -222,7 +221,7 @@ def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
     ax.grid(axis="y", color="#e4e7eb", linewidth=0.8)
     ax.set_axisbelow(True)
     shade_windows(ax, plan)
-    ax.set_title("Slip at the contacts", **TITLE)
+    ax.set_title("Slip at the contacts")
 
 
 def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
@@ -260,7 +259,7 @@ def _draw_sigma(ax: Any, plan: Plan) -> None:
         ax.plot(t, speed(way, t), color=INK, linewidth=1.8)
     ax.set_ylim(bottom=0.0)
     ax.set_ylabel(r"path speed $\sigma$ [m/s]")
-    ax.set_title("No slip at any contact", **TITLE)
+    ax.set_title("No slip at any contact")
 
 
 def _draw_object(ax: Any, plan: Plan) -> None:
@@ -278,4 +277,4 @@ def _draw_finger(ax: Any, plan: Plan) -> None:
     text = "On the fingers" if len(contacts) > 1 else "On the finger"
     if len(same) < len(contacts):
         text = shortened(f"Finger ({', '.join(map(plan.scene.contact_name, same))})", 40)
-    ax.set_title(text, pad=4, **TITLE)
+    ax.set_title(text, pad=4)

@@ -18,6 +18,8 @@ HOLLOW = ["#6d7884", "#b9c2cb"]  # the back of a surface with an edge
 STYLE = {
     "font.size": 11,
     "axes.titlesize": 12,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
     "axes.labelsize": 11,
     "legend.fontsize": 10,
     "axes.edgecolor": INK,
@@ -29,7 +31,6 @@ STYLE = {
     "axes.spines.right": False,
     "mathtext.fontset": "dejavusans",
 }
-TITLE = {"loc": "left", "weight": "bold"}
 DOTS: Any = {"linestyle": "none", "marker": "o", "markersize": 4.5}
 DOTS |= {"markerfacecolor": "white", "markeredgecolor": INK}
 NUMBER: Any = {"linestyle": "none", "marker": "$1$", "markersize": 7, "color": COLOURS[0]}
