@@ -434,8 +434,7 @@ def _connect_turning(builder: DiagramBuilder, plant: MultibodyPlant, turning: Tu
     ahead = turning_angle(turning)(Polynomial([plant.time_step(), 1.0]))
     # It goes on beyond the scene's end, as the planner does.
     path = PiecewisePolynomial([np.array([[DrakePolynomial(ahead.coef)]])], [0.0, AGES])
-    source = builder.AddSystem(TrajectorySource(path, output_derivative_order=1))
-    source.set_name("turning")
+    source = builder.AddNamedSystem("turning", TrajectorySource(path, output_derivative_order=1))
     port = plant.get_desired_state_input_port(plant.GetModelInstanceByName("object"))
     builder.Connect(source.get_output_port(), port)
 
