@@ -53,8 +53,7 @@ EXTRA = shlex.split(os.environ.get("CONTACT_SYSTEM_CFLAGS", ""))
 # ziglang's, those of compilers that know no levels of x86-64. Without any there is no such variant.
 # That for processors older than 2013 is compiled in half the time, and up to 1.8 times as slow.
 # One for AVX-512 took 3 to 8 % less on an Intel Xeon, and nothing less on an AMD EPYC.
-# gcc 12 fuses x y - z w beside x y + z w whatever -ffp-contract says, unless it has no such
-# instruction.
+# gcc 12 fuses x y - z w beside x y + z w even with -ffp-contract=off, hence -mno-fma.
 # gcc unrolls loops over 4 vectors when it peels, 6 % of the time of K4; clang would warn of it.
 _AVX2 = ("-mavx2", "-mbmi", "-mbmi2", "-mlzcnt")
 _PEELING = ("-fpeel-loops", "-Wno-ignored-optimization-argument")

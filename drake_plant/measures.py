@@ -19,10 +19,10 @@ from .config import Push, body_names
 from .contact_monitor import SATURATED
 from .simulation import CONTINUOUS, NEAR, HandResult, SimulationResult, simulate
 
-EDGE = 0.1  # s, after the start, and before and after a disturbance's edge: that is transient
+EDGE = 0.1  # s: what is so near to the start or to a disturbance's edge is transient
 STANDING = 1e-4  # of a contact's greatest speed: below, slip relative to its speed says nothing
 ROLLS = 1e-2  # of sigma, below which planned slip counts as rolling
-# Slip counts as sliding above so many times that before any disturbance, and this, m/s.
+# A contact slides if slip is above so many times that before any disturbance, and so many m/s.
 SLIDING, CREEPING = 10.0, 1e-3
 CARRIED = 0.95  # part of its weight that carries an object
 LATELY, MOMENT = 0.5, 0.01  # s before the end that are judged, and in which a speed is measured

@@ -276,7 +276,7 @@ class ContactPlanner(_Convertible, LeafSystem):
     def _Exact(self, context: Any) -> Plan | None:
         """The plan from where contacts began, where it is known now."""
         begun, t = self._begun(context), context.get_time()
-        if begun[0] not in (AS_SCENE, AS_STATE):  # nobody has initialized this one, or knows more
+        if begun[0] not in (AS_SCENE, AS_STATE):  # not initialized, or disturbed
             return None
         state = begun[2:].tobytes() if begun[0] == AS_STATE else b""
         plan = self._exact(float(begun[1]), state, max(t, self.system.scene.duration))

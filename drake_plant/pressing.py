@@ -31,7 +31,7 @@ from .meshes import RoundDomain, icosphere
 SPACING = 0.0025  # m, of points along the plan that show where contacts go
 ANOTHER = 0.1  # of its size, by how much a body differs that is another one
 LINE = 1e-6  # of the greatest relative curvature: less is a line, straight but for rounding
-POINTS, _ = icosphere(4)  # of a sphere, to look where a finger is
+POINTS, _ = icosphere(4)  # of a unit sphere; points of a finger are made from them
 # Of kinds of surfaces what is less where they give way by a depth.
 RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
 

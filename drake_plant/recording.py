@@ -198,7 +198,7 @@ def draw(meshcat: Meshcat, result: SimulationResult) -> None:
 
 
 def _branch(scene: Scene, on: int) -> str:
-    """Of Meshcat's tree, of a finger or, after them, of the object."""
+    """The branch of Meshcat's tree of a body, by its number in `body_names`."""
     name = [*model_names(scene), "object"][on]
     return f"{BODIES}/{name}/{name}"
 

@@ -38,7 +38,7 @@ class Operation(NamedTuple):
     name: str
     """As in CasADi's OP_..."""
     c: str
-    """C expression of the operands A and B; of kind "SINCOS" s or c."""
+    """C expression of the operands A and B; of kind "SINCOS" s, the sine, or c, the cosine."""
     partials: tuple[str, ...]
     """C expressions of the derivatives by each operand."""
     kind: str = "SIMPLE"

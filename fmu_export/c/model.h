@@ -97,7 +97,7 @@ typedef struct {
   double period_u, period_v;
 } shape_t;
 
-/* a table: the numbers of table_t; places */
+/* a table: the first numbers of table_t; where its instructions and literals lie */
 typedef struct {
   int32_t numbers[8];
   int64_t prologue, body, literals;

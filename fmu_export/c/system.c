@@ -37,7 +37,7 @@ static void no_slip(const model_t *m, long i, double *x) {
   x[states_of(m, i) - 2] = x[states_of(m, i) - 1] = 0.0;
 }
 
-/* Results of contact i at its states, from one group on to another; with it the others are past */
+/* Results of contact i at its states: groups from this one on, up to the end, which is left out */
 static void find_system(component_t *c, long i, int group, int end) {
   const model_t *m = c->model;
   const table_t *t = system_of(m, i);
