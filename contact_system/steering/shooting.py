@@ -57,7 +57,7 @@ class Follower(Followed):
             self.detail,
             surface.reach * surface.size / 8,
         )
-        self.surface = surface  # kept alive with its numbers
+        self.kept = surface  # the engine points to its numbers
 
     def __call__(self, start: Array, length: Array, tolerance: Any, samples: int = 0) -> Array:
         """The ends: x, p, q, J, J', M, M' (13, n); or x and J at equal steps, (samples, 4, n)."""
