@@ -97,9 +97,9 @@ def balancing_forces(
     if finite_number(margin, "margin", "not below 0") > 1:
         raise SceneError(f"margin = {margin!r}: give a part of the friction cones, at most 1")
     for name, given in (("friction", friction), ("least", least)):
-        if shaped_array(given, name).shape not in ((), (count,)):
+        if (read := shaped_array(given, name)).shape not in ((), (count,)):
             raise SceneError(f"{name} = {given!r}: give a number, or one for each contact")
-        if np.min(given) < 0:
+        if read.min() < 0:
             raise SceneError(f"{name} = {given!r}: contacts would pull; give 0 or more")
     if not (np.abs(np.linalg.norm(normals, axis=-1) - 1) < UNIT).all():
         raise SceneError("normals: give vectors of length 1")
@@ -142,9 +142,10 @@ def _no_grasp(acts: Array, margin: float, friction: ArrayLike) -> str:
 def friction_used(forces: ArrayLike, normals: ArrayLike, friction: ArrayLike) -> Array:
     """Part of each friction cone that forces use, NaN without contact or friction: (..., n, 3)
     twice and (n,) -> (..., n)."""
-    pressing = np.sum(np.multiply(forces, normals), axis=-1)
+    forces, normals = np.asarray(forces), np.asarray(normals)
+    pressing = np.sum(forces * normals, axis=-1)
     across = np.linalg.norm(forces - pressing[..., None] * normals, axis=-1)
-    limit = friction * pressing
+    limit = np.multiply(friction, pressing)
     return np.divide(across, limit, out=np.full_like(limit, np.nan), where=limit > 0)
 
 

@@ -102,7 +102,7 @@ def _smaller_quadric(surface: Quadric, by: float) -> Quadric:
     """An ellipsoid with smaller axes; the given one if the smaller one had its (u, v) elsewhere."""
     values, axes = np.linalg.eigh(surface.A)
     matrix = axes @ np.diag((values**-0.5 - by) ** -2) @ axes.T
-    smaller = dataclasses.replace(surface, A=(matrix + matrix.T) / 2)
+    smaller = dataclasses.replace(surface, A=((matrix + matrix.T) / 2).tolist())
     moved = np.linalg.norm(smaller.point(1.0, 0.5) - surface.point(1.0, 0.5))
     return smaller if moved < 2 * abs(by) else surface
 

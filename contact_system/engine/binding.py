@@ -191,10 +191,10 @@ START, POSE = (TableData * 2).in_dll(_LIBRARY, "contact_tables")
 """The first two tables of contacts in engine.h."""
 
 
-def address(array: np.ndarray) -> int:
+def address(array: Any) -> int:
     """Address of a contiguous array's first number."""
     try:  # an eighth of the time that numpy takes
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))
     except (TypeError, ValueError):  # read-only, or empty
         return array.ctypes.data
 
