@@ -57,7 +57,7 @@ def plot(
     planned = plan(result.scene)
     with Picture(path, (13, 9), dpi) as figure:
         left, right = figure.subfigures(1, 2, width_ratios=(1, 1.15))
-        draw_title(left, planned)
+        draw_title(left, planned, moves=not isinstance(result, HandResult))
         _draw_curves(left.add_axes((0.02, 0.18, 0.96, 0.68)), result, planned)
         _key(left.add_axes((0.05, 0.02, 0.9, 0.15)), result)
         panels: Sequence[Any] = HAND_PANELS if isinstance(result, HandResult) else PANELS

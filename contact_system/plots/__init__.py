@@ -134,12 +134,12 @@ def Picture(path: str | os.PathLike[str], size: tuple[float, float], dpi: int) -
 # --- titles and legends ------------------------------------------------------------------------
 
 
-def draw_title(figure: Any, plan: Plan) -> None:
-    """Name, profile, gain and description of a scene at the top of a figure."""
+def draw_title(figure: Any, plan: Plan, moves: bool = True) -> None:
+    """Name, profile and gain, if they move the contacts, and description of a scene at the top."""
     scene = plan.scene
     legs_alone = all(contact.legs for contact in scene.contacts)
     sigma = "of legs" if legs_alone else f"= {_polynomial(scene.profile)} m/s"
-    facts = f"σ {sigma},   gain {gain_text(scene.gain)}"
+    facts = f"σ {sigma},   gain {gain_text(scene.gain)}" if moves else ""
     name = figure.text(0.035, 0.955, shortened(scene.name, 30), size=18, weight="bold")
     right = figure.text(0.965, 0.955, facts, size=10, ha="right", color=GREY)
     if right.get_window_extent().x0 < name.get_window_extent().x1 + 10:  # no room beside the name
