@@ -65,7 +65,7 @@ def require_regular(path: str | os.PathLike[str]) -> None:
 def did_you_mean(word: object, known: Iterable[str]) -> str:
     """ " (did you mean '...'?)" with the nearest known word; empty if none is near."""
     by_lower = {k.lower(): k for k in known}
-    close = difflib.get_close_matches(str(word).lower(), by_lower, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(str(word).lower(), by_lower, n=1)
     return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""
 
 
