@@ -190,7 +190,14 @@ class Probe:
                 "the object); measure nearby, turn the body's axes so that the "
                 "pole lies elsewhere, or choose another center"
             )
-        return found[STATES]
+        at, (finger, obj) = found[STATES], self._surfaces
+        if self._in_space or self._pose[:, :3] @ finger.normal(*at[:2]) @ obj.normal(*at[4:6]) < 0:
+            return at
+        raise ContactSystemError(  # a chart like a sphere's has points twice, at u and at -u
+            f"{what}: f_u x f_v of a ParametricSurface points into its body at {at[:2].tolist()} "
+            f"of the finger or {at[4:6].tolist()} of the object; give it a u_range and v_range in "
+            "which f_u x f_v points out of the body"
+        )
 
     def approach(self) -> np.ndarray:
         """A point near which bodies that are apart would touch, in O: (3,), m.

@@ -251,17 +251,17 @@ def relative_curvature(plan: Plan, t: np.ndarray) -> np.ndarray:
     The bodies part in the directions in which it is positive, and overlap where it is negative. It
     is NaN at a pole or an umbilic.
     """
-    results = plan.evaluate(t, "points", "pose")
-    points, turns = results["points"], results["pose"][..., :3, :3]
-    relative = np.empty((*points.shape[:2], 2, 2))
+    states, turns = plan.states(t, gaps=True), plan.pose(t)[..., :3, :3]
+    relative = np.full((*states.shape[:2], 2, 2), np.nan)
     for i, contact in enumerate(plan.scene.contacts):
+        known = np.isfinite(states[:, i, 0])
         forms, axes = [], []
-        for surface, x in zip((contact.finger, plan.scene.object), points[:, i].swapaxes(0, 1)):
-            at = surface.coordinates(x)
+        for surface, k in ((contact.finger, 0), (plan.scene.object, 4)):
+            at = states[known, i, k : k + 2].T
             forms.append(surface.curvature_form(*at))
             axes.append(surface.frame(*at)[..., :2])
-        turn = axes[1].swapaxes(-1, -2) @ turns[:, i] @ axes[0]
-        relative[:, i] = equations.relative_curvature(forms[1], forms[0], turn)
+        turn = axes[1].swapaxes(-1, -2) @ turns[known, i] @ axes[0]
+        relative[known, i] = equations.relative_curvature(forms[1], forms[0], turn)
     return relative
 
 

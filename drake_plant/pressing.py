@@ -178,6 +178,7 @@ def touches_of(scene: Scene) -> list[Touch]:
     plan, length = make_plan(scene), scene.path_length(scene.duration)
     times = np.linspace(0, scene.duration, min(max(100, math.ceil(length / SPACING)), 20_000))
     points, poses = plan.points(times), plan.pose(times)
+    uv = plan.states(times, gaps=True)[..., [0, 1, 4, 5]]
     _check_apart(scene, times, poses)
     of_contacts, touches = relative_curvature(plan, times), []
     for i, contact in enumerate(scene.contacts):
@@ -199,15 +200,15 @@ def touches_of(scene: Scene) -> list[Touch]:
             )
         at, bodies = points[:, i].swapaxes(0, 1), (contact.finger, scene.object)
         normals = contact.finger.normal(*contact.finger.coordinates(at[0]))
-        bends = [_mean_curvature(body, x[known]) for body, x in zip(bodies, at)]
+        places = uv[known, i].T.reshape(2, 2, -1)
+        bends = [_mean_curvature(body, *place) for body, place in zip(bodies, places)]
         touches.append(Touch(at, normals, bends, np.sqrt(np.linalg.det(relative))))
     return touches
 
 
-def _mean_curvature(surface: Surface, points: Array) -> float:
-    """The mean over points (m, 3) of half the trace of K, 1/m."""
-    forms = surface.curvature_form(*surface.coordinates(points))
-    return float(np.trace(forms, axis1=1, axis2=2).mean() / 2)
+def _mean_curvature(surface: Surface, u: Array, v: Array) -> float:
+    """The mean over points, (m,) each, of half the trace of K, 1/m."""
+    return float(np.trace(surface.curvature_form(u, v), axis1=1, axis2=2).mean() / 2)
 
 
 def _check_apart(scene: Scene, times: Array, poses: Array) -> None:

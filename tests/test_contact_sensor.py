@@ -182,20 +182,22 @@ def test_measuring_at_a_pole_names_the_contact():
 
 
 FLAT = cs.Quadric(np.outer([1.2, 1.0, 1.3], [1.2, 1.0, 1.3]))  # rounding gives it curvature
+BALL = cs.ParametricSurface(("sin(u)*cos(v)", "sin(u)*sin(v)", "cos(u)"))  # points at u and at -u
 
 
 @pytest.mark.parametrize(
-    ("obj", "finger"),
+    ("obj", "finger", "words"),
     [
-        (cs.Sphere(0.1, inside=True), cs.Sphere(0.1)),
-        (cs.Cylinder(0.1, inside=True), cs.Cylinder(0.1)),  # in one direction only
-        (FLAT, cs.Plane()),
+        (cs.Sphere(0.1, inside=True), cs.Sphere(0.1), "contact 0: the surfaces conform"),
+        (cs.Cylinder(0.1, inside=True), cs.Cylinder(0.1), "conform"),  # in one direction only
+        (FLAT, cs.Plane(), "conform"),
+        (BALL, cs.Sphere(0.1), "contact 0: f_u x f_v .* u_range"),
     ],
 )
-def test_conforming_surfaces_are_refused_at_a_pose_that_is_rounded(obj, finger):
+def test_conforming_surfaces_and_a_normal_into_the_body_are_refused(obj, finger, words):
     contact = cs.Contact(finger=finger, object_at=(1, 1))
     scene = cs.Scene(object=obj, contacts=[contact], profile=cs.Profile([0.1]), duration=1)
-    with pytest.raises(cs.ConformalContact, match="contact 0"):
+    with pytest.raises(cs.ContactSystemError, match=words):
         cs.measured_states(scene, *at(cs.plan(scene), 0.5))
 
 

@@ -381,12 +381,9 @@ def test_a_nameless_scene_is_named_after_its_file():
 
 
 def test_an_unknown_scene_is_refused_with_the_nearest_name():
-    with pytest.raises(SceneError, match="did you mean 'K1'"):
-        load_scene("k1")
-    with pytest.raises(SceneError, match="did you mean 'torus'"):
-        load_scene("torsu")
-    with pytest.raises(SceneError, match="did you mean 'K1'"):
-        load_scene("scenes/K1.toml")
+    for name, near in {"k1": "K1", "torsu": "torus", "scenes/K1.toml": "K1"}.items():
+        with pytest.raises(SceneError, match=f"did you mean '{near}'"):
+            load_scene(name)
 
 
 @pytest.mark.parametrize("wrong", [None, 4, ["K4"]])

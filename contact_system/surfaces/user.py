@@ -97,7 +97,9 @@ class ParametricSurface(UserSurface):
         Details narrower than a tenth of it, on otherwise flat ground, may be overlooked: then give
         the scale of the details.
     u_range, v_range : pairs of float, optional
-        Where the inverse chart starts to search; default: one period about 0, or (-pi, pi).
+        Where the inverse chart starts to search; default: one period about 0, or (-pi, pi). If the
+        chart has points twice, give the part in which f_u x f_v points out of the body, such as
+        (0, pi) for the polar angle of a ball.
     u_period, v_period : float, optional
         Period of a periodic coordinate.
     inside : bool
