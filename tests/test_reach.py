@@ -223,7 +223,7 @@ def test_the_command_writes_a_scene_that_arrives(tmp_path, capsys):
     assert (found.name, found.paper) == ("mine-reached", {})
     end = cs.plan(found).points(3.0)[0, 0, 1]
     assert end == pytest.approx(ELLIPSOID[1].point(2.0, 1.0), abs=1e-12)
-    refused = {"object = [2, 1]": "did you mean 'object_at'?", "object_at = [120, 45]": "two turns"}
+    refused = {"object = [2, 1]": "did you mean 'object_at'?", "angle = 90": "more than two turns"}
     for wrong, said in refused.items():
         assert main(["reach", str(file), "--to", wrong]) == 2
         assert said in capsys.readouterr().err

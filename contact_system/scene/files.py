@@ -106,12 +106,15 @@ def refuse_degrees(places: Contact | Goal, body: Surface, finger: Surface) -> No
     for key, surface in (("object_at", body), ("finger_at", finger)):
         for x, period in zip(getattr(places, key) or (), surface.periods()):
             # a coordinate without period ends at poles, or is no angle
-            turn = period or (TURN if surface.chart.singular_at else math.inf)
-            if abs(x) > 2 * turn:
-                raise SceneError(
-                    f"{key}: {x:g} rad is more than two turns; give radians, such as "
-                    f'"{x:g}*pi/180" for degrees'
-                )
+            _refuse_turns(x, key, period or (TURN if surface.chart.singular_at else math.inf))
+
+
+def _refuse_turns(x: Any, key: str, turn: float) -> None:
+    if isinstance(x, (int, float)) and abs(x) > 2 * turn:
+        raise SceneError(
+            f"{key}: {x:g} rad is more than two turns; give radians, such as "
+            f'"{x:g}*pi/180" for degrees'
+        )
 
 
 def fields_of(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -142,6 +145,8 @@ def _value(key: str, value: Any) -> Any:
                 "on, such as [0.1, 0.2] for 0.1 + 0.2 t"
             )
         return Profile(_numbers(value, key))
+    if key in ("angle", "direction"):
+        _refuse_turns(value, key, TURN)
     return _numbers(value, key)
 
 
@@ -260,7 +265,7 @@ def scene_to_toml(scene: Scene) -> str:
             lines += ["", "[turning]", *_lines(dataclasses.asdict(scene.turning))]
         lines += ["", "[object]", *_lines(_surface_table(scene.object, "object"))]
         for i, contact in enumerate(scene.contacts):
-            table = dict(vars(contact))
+            table = dict(vars(contact)) | {"angle": _angle(contact.angle)}
             table["finger"] = _surface_table(contact.finger, f"contacts[{i}]: finger")
             table["legs"] = list(map(_leg_table, contact.legs))
             if not contact.legs:
@@ -292,9 +297,14 @@ def _toml(value: Any) -> str:
     return "[" + ", ".join(_toml(x) for x in value) + "]"
 
 
+def _angle(x: float) -> float | str:
+    """As a file has an angle: of more than two turns as a text, which is not taken for degrees."""
+    return x if abs(x) <= 2 * TURN else repr(x)
+
+
 def _leg_table(leg: Leg) -> dict[str, Any]:
     """The table of a leg: with its length, or with its own profile."""
-    table = {"direction": leg.direction, "duration": leg.duration}
+    table = {"direction": _angle(leg.direction), "duration": leg.duration}
     if leg == Leg(leg.direction, leg.length, leg.duration):
         return table | {"length": leg.length}
     assert leg.profile is not None
