@@ -251,17 +251,15 @@ def relative_curvature(plan: Plan, t: np.ndarray) -> np.ndarray:
     The bodies part in the directions in which it is positive, and overlap where it is negative. It
     is NaN at a pole or an umbilic.
     """
-    states, turns = plan.states(t, gaps=True), plan.pose(t)[..., :3, :3]
-    relative = np.full((*states.shape[:2], 2, 2), np.nan)
+    states = plan.states(t, gaps=True)
+    c, s = np.cos(states[..., 8]), np.sin(states[..., 8])
+    turn = np.stack([c, -s, -s, -c], axis=-1).reshape(*c.shape, 2, 2)
+    relative = np.full_like(turn, np.nan)
     for i, contact in enumerate(plan.scene.contacts):
-        known = np.isfinite(states[:, i, 0])
-        forms, axes = [], []
-        for surface, k in ((contact.finger, 0), (plan.scene.object, 4)):
-            at = states[known, i, k : k + 2].T
-            forms.append(surface.curvature_form(*at))
-            axes.append(surface.frame(*at)[..., :2])
-        turn = axes[1].swapaxes(-1, -2) @ turns[known, i] @ axes[0]
-        relative[known, i] = equations.relative_curvature(forms[1], forms[0], turn)
+        known = np.isfinite(c[:, i])
+        tip = contact.finger.curvature_form(*states[known, i, 0:2].T)
+        body = plan.scene.object.curvature_form(*states[known, i, 4:6].T)
+        relative[known, i] = equations.relative_curvature(body, tip, turn[known, i])
     return relative
 
 
