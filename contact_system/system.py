@@ -393,7 +393,7 @@ class SceneSystem:
             A wrong shape, NaN, sigma(t) <= 0, or a point outside its chart.
         """
         n, rows = len(self.scene.contacts), shaped_array(state, f"{self.scene.title}: state")
-        if rows.size != 9 * n:
+        if rows.shape not in ((n, 9), (1, n, 9), (9 * n,)):
             where = f"{self.scene.title}, restart"
             raise SceneError(f"{where}: state has shape {rows.shape}; give {(n, 9)}")
         t = self._time(t)

@@ -142,8 +142,8 @@ def test_a_restart_refuses_what_does_not_determine_a_motion():
     for t, speed in ((0.0, "0"), (np.inf, "inf")):
         with pytest.raises(cs.SceneError, match=f"sigma = {speed}"):
             system.from_states(t, state)
-    with pytest.raises(cs.SceneError, match=r"scene '.*', restart: state has shape \(3,\)"):
-        system.from_states(0.5, np.zeros(3))
+    with pytest.raises(cs.SceneError, match=r"scene '.*', restart: state has shape \(9, 1\)"):
+        system.from_states(0.5, state[0].T)
     with pytest.raises(cs.SceneError, match="at t = 0.5 s, contact 0: the measured state has nan"):
         system.from_states(0.5, np.full(9, np.nan))
     beyond = state.copy()
