@@ -34,7 +34,7 @@ def draw_body(ax: Any, mesh: Mesh | None, curves: Sequence[Curve]) -> None:
         before = np.linalg.norm(starts[:k] - starts[k], axis=1) < room
         _mark_start(ax, starts[k], curve, hidden[k][0], int(before.sum()))
     for curve, behind in zip(curves, hidden):
-        _draw_legs(ax, mesh, view, curve, room)
+        _draw_legs(ax, mesh, view, curve)
         for frame, dim in zip(curve.frames, (behind[0], behind[-1])):
             _draw_frame(ax, (frame @ view)[:, :2], 3.0 * room, 0.4 if dim else 1.0)
     ax.set_aspect("equal")
@@ -176,7 +176,7 @@ def _mark_start(ax: Any, start: np.ndarray, curve: Curve, behind: bool, below: i
     ax.annotate(curve.label, start, place, textcoords="offset points", bbox=box, **style)
 
 
-def _draw_legs(ax: Any, mesh: Mesh | None, view: np.ndarray, curve: Curve, room: float) -> None:
+def _draw_legs(ax: Any, mesh: Mesh | None, view: np.ndarray, curve: Curve) -> None:
     """The number of each leg of a curve beside its middle."""
     for k, middle in enumerate(curve.legs):
         dim = is_hidden(mesh, view, middle[None])[0]
