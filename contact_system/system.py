@@ -47,7 +47,7 @@ from .scene import SLOTS, Disturbance, Scene, Start, Stretch, acting, refuse_res
 from .scene.contact import rotated
 from .surfaces import TINY, Ellipsoid, Surface, UserSurface
 from .theory import symbols as ca
-from .theory.development import IN_SPACE, in_space, moving
+from .theory.development import in_space
 from .theory.lowering import Table
 from .theory.profile import polynomial
 from .theory.symbols import making_symbols
@@ -465,15 +465,14 @@ def _frames(bodies: Sequence[Surface], start: Any, ambient: Sequence[bool]) -> l
 def _first_frame(surface: Surface, at: tuple[float, float], theta: float) -> list[float]:
     """x, p of a moving frame at (u, v), turned by theta from the contact frame."""
     if surface.has_chart:
-        table = surface.tables.ambient[IN_SPACE.index("start")]
-        return run(table, np.array([[*at, theta]]).T, surface.numbers)[:, 0].tolist()
+        return surface._in_space("start", np.vstack([*at, theta]))[:, 0].tolist()
     point, frame = surface.point_and_frame(*at)
     return [*point, *(frame[:, :2] @ [math.cos(theta), math.sin(theta)])]
 
 
 def _turned_frame(surface: Surface, frame: Sequence[float], theta: float) -> list[float]:
     """x, p of a moving frame, turned by theta."""
-    second = moving(surface, True)("second")(frame, surface.numbers).full().ravel()
+    second = surface._in_space("second", np.vstack(frame))[:, 0]
     return [*frame[:3], *(math.cos(theta) * np.array(frame[3:]) + math.sin(theta) * second)]
 
 

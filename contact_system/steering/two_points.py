@@ -15,11 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import finite_number, of_kind, shaped_array, whole_number
-from ..engine import binding
 from ..errors import SurfaceError
 from ..kept import kept
 from ..surfaces import SINGULAR, Surface
-from ..theory.development import IN_SPACE
 from .shooting import MET, SHARP, Array, Follower, Search
 
 ON_SURFACE = 1e-9  # of the size: greatest distance from the surface of points on it
@@ -252,14 +250,9 @@ class Pairs:
         least = np.minimum(m[:, 0, 0], m[:, 1, 1])
         return frame, ~(least > SINGULAR * self.surface.size)
 
-    def _in_space(self, name: str, x: Array, p: Array) -> Array:
-        """A table of `IN_SPACE` at points and vectors (n, 3)."""
-        table = self.surface.tables.ambient[IN_SPACE.index(name)]
-        return binding.run(table, np.vstack([x.T, p.T]), self.surface.numbers).T
-
     def _restored(self, x: Array, p: Array) -> tuple[Array, Array]:
         """Points (n, 3) put back on the surface, and vectors made unit tangents there."""
-        restored = self._in_space("restore", x, np.broadcast_to(p, x.shape))
+        restored = self.surface._in_space("restore", x.T, np.broadcast_to(p, x.shape).T).T
         return restored[:, :3], restored[:, 3:]
 
     def _some_frame(self, x: Array) -> Array:
@@ -267,7 +260,7 @@ class Pairs:
         tries = np.stack([self._restored(x, axis)[1] for axis in np.eye(3)], axis=1)
         best = np.nanargmax(np.einsum("nii->ni", tries), axis=1)  # farthest from the normal
         p = tries[np.arange(len(x)), best]
-        q = self._in_space("second", x, p)
+        q = self.surface._in_space("second", x.T, p.T).T
         return np.stack([p, q, np.cross(p, q)], axis=-1)
 
 

@@ -25,6 +25,7 @@ from ..engine.binding import SURFACES, SurfaceData, address, run, wind
 from ..errors import ChartSingularity, SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
+from ..theory.development import IN_SPACE
 from ..theory.geometry import QUANTITIES, ROWS, ChartGeometry, chart_geometry
 from ..theory.lowering import lowered
 from .charts import Chart, Frame, Pair, Periods
@@ -369,6 +370,11 @@ class Surface:
             entries = table[ROWS[name]].reshape((*QUANTITIES[name], u.size), order="F")
             results.append(np.moveaxis(entries, -1, 0).reshape(u.shape + QUANTITIES[name]))
         return results
+
+    def _in_space(self, name: str, *rows: ArrayLike) -> Array:
+        """A table of `development.IN_SPACE` at states in columns, given by their rows."""
+        table = self.tables.ambient[IN_SPACE.index(name)]
+        return run(table, np.vstack(rows), self.numbers)
 
 
 # --- helpers --------------------------------------------------------------------------------------
