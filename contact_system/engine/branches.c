@@ -79,9 +79,9 @@ static void wind(const surface_t *s, const double *ref, double *z) {
   wind_to(s, s->double_cover && du2 * du2 + dv2 * dv2 < du * du + dv * dv, ref, z);
 }
 
-/* Whether a path crosses cos v = 0, not sin u = 0, between two marks on different sides, the first
-   negative or not: told where it crosses, by regula falsi (Illinois), so that it is right beside
-   umbilics. */
+/* Whether a path crosses cos v = 0, not sin u = 0, between two marks on different sides; negative:
+   whether the first one is. Only the place of the crossing, found by regula falsi (Illinois), tells
+   the two apart beside umbilics. */
 static int over_seam(work_t *w, const track_t *k, mark_t a, mark_t b, int negative) {
   double value[N_COORDINATES], last = 0.0, s = 0.0, c = 1.0;
   a.y = negative ? -fabs(a.y) : fabs(a.y), b.y = negative ? fabs(b.y) : -fabs(b.y);
@@ -106,8 +106,8 @@ static int over_seam(work_t *w, const track_t *k, mark_t a, mark_t b, int negati
   return c < fabs(s);
 }
 
-/* Whether a path leaves its side of y = 0 and comes back between two marks, told with one of where
-   it is beyond: by parabolas towards the least |y|. */
+/* Whether a path leaves its side of y = 0 and comes back between two marks; there: a place beyond.
+   It is looked for where parabolas through three places have their least |y|. */
 static int comes_back(work_t *w, const track_t *k, mark_t a, mark_t c, int negative,
                       mark_t *there) {
   const double sign = negative ? -1.0 : 1.0;
@@ -142,9 +142,9 @@ static int comes_back(work_t *w, const track_t *k, mark_t a, mark_t c, int negat
   return 0;
 }
 
-/* The same along a path that comes from ref at x, in a chart that covers its surface once. Beside a
-   pole theta and an azimuth swing by half a turn, to opposite sides or the same one, which is seen
-   only where they have swung by less. */
+/* As `wind`, for the place at x2 of a path that is at ref at x, in a chart that covers its surface
+   once. Beside a pole theta and an azimuth swing by half a turn, each to either side. The side is
+   seen only on parts of the path in which they swing by less. */
 static void wind_swing(work_t *w, const track_t *k, double x, const double *ref, double x2,
                        double *z) {
   double half[N_COORDINATES];

@@ -173,8 +173,9 @@ static void restore_body(work_t *w, const body_t *b, double *state) {
   for (int j = 0; j < 6; j++) state[j] = found[j][0];
 }
 
-/* 1/(size of each state): positions count by the body's size, angles and directions by 1. At poles
-   coordinates count as a hundredth of those beside; users' charts have units of their own. */
+/* 1/(size of each state): positions count by the body's size, angles and directions by 1,
+   coordinates by their Lame coefficients. One that vanishes, at a pole, counts as a hundredth of
+   the size, or on users' charts, whose units may be any, of the other one. */
 static void scales(work_t *w, int ambient, const body_t *b, const double *state, double *scale) {
   if (ambient) {
     for (int j = 0; j < 6; j++) scale[j] = j < 3 ? 1.0 / b->size : 1.0;
@@ -198,8 +199,8 @@ typedef struct {
   int known;
 } step_t;
 
-/* A panel shortened: ln(decay) may fall by so much, also if it goes on as at the start, so that the
-   first node still sees a layer there. A gain that grows later is seen by the other nodes. */
+/* The length h, or less: ln(decay) falls by `steepest` at most over the panel, and by no more at
+   the rate of its start, so that the first node still sees a layer there. */
 static double longest(const motion_t *m, double tau, double h, double steepest) {
   const drive_t *d = m->track->drive;
   if (m->slip <= 0) return h;

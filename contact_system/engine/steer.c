@@ -1,8 +1,8 @@
 /* Paths of legs that end at a goal, a trial a lane: Newton's method (theory section 11).
 
-   All is told in the frame of the path: p the direction of travel, q = n x p. On both bodies p is
-   the same direction in space, and q and n are opposite ones. Jacobi fields say how the frame at
-   the end moves with each unknown: directions and lengths of the legs. */
+   All vectors are given in the frame of the path: p the direction of travel, q = n x p. On both
+   bodies p is the same direction in space, and q and n are opposite ones. Jacobi fields say how the
+   frame at the end moves with each unknown: directions and lengths of the legs. */
 
 enum { MOST_LEGS = 4, UNKNOWNS = 2 * MOST_LEGS };
 /* steps of Newton's method; steps after which a path that hardly improves is given up; paths that
@@ -221,7 +221,7 @@ static void turned_product(double (*a)[L], const double *turn, double (*b)[L], d
       EACH_LANE(l) out[l] += a[i][l] * turn[3 * i + j] * b[j][l];
 }
 
-/* How far off the goal's pose the end is, rotation and origin, told in the frames F there: the
+/* How far off the goal's pose the end is, rotation and origin, in the frames F there: the
    finger's rotation is F_2 diag(1, -1, -1) F_1^T. from: the finger's point from its origin. */
 static void pose_off(search_t *w, double unit, double (*off)[L], double (*from)[L]) {
   static const double same[3] = {1.0, -1.0, -1.0};

@@ -1,4 +1,4 @@
-/* Doubled precision, after Dekker: what is rounded once in the end. */
+/* Numbers of doubled precision, after Dekker, for results that are rounded only once. */
 
 typedef struct {
   double high, low;
