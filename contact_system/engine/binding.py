@@ -154,9 +154,9 @@ _LIBRARY.contact_engine.restype = POINTER(Engine)
 ENGINE: Engine = _LIBRARY.contact_engine().contents
 # reading a field of a structure makes a new function object every time
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
-moments, facts, _run = ENGINE.moments, ENGINE.facts, ENGINE.run
-step, along, geodesics = ENGINE.step, ENGINE.along, ENGINE.geodesics
-_sign_changes, rays, steer, wind = ENGINE.sign_changes, ENGINE.rays, ENGINE.steer, ENGINE.wind
+moments, facts, _run, step = ENGINE.moments, ENGINE.facts, ENGINE.run, ENGINE.step
+geodesics, steer, rays, wind = ENGINE.geodesics, ENGINE.steer, ENGINE.rays, ENGINE.wind
+_sign_changes = ENGINE.sign_changes
 _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
 )
