@@ -156,7 +156,7 @@ def test_mistakes_in_names_and_files_are_one_line(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--eta", "-1"], "eta = -1.0 is negative"),
+        (["--eta", "-1"], "eta = -1.0: give a finite number not below 0"),
         (["--rho", "5"], "scene 'K1': --rho 5: the gain law 'path' takes eta; give --eta"),
         (["--gain", "guaranteed", "--eta", "5"], "--eta 5: the gain law 'guaranteed' takes rho"),
         (["--tolerance", "0"], "tolerance = 0.0"),

@@ -237,7 +237,7 @@ FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(
         (over(contacts=[FINGER]), ["contacts[0]", "give a Contact"]),
         (over(disturbances=[(0, 0, 1, (1, 1))]), ["disturbances[0]", "or ObjectRateOffset"]),
         (over(profile=[0.1]), ["profile = [0.1]", "give a Profile, such as Profile("]),
-        (over(duration=0), ["duration = 0 s", "longer than 0"]),
+        (over(duration=0), ["duration = 0.0", "above 0"]),
         (over(duration="2"), ["duration = '2'", "number"]),
         (over(profile=Profile([0.1, -0.1])), ["-0.1 m/s", "t = 2 s", "before t = 1 s"]),
         (over(name=3), ["name = 3", "text"]),

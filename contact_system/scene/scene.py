@@ -211,9 +211,7 @@ class Scene:
         duration = self.duration or max(
             (sum(x.duration for x in legs) for _, legs in with_legs), default=0.0
         )
-        put(self, "duration", finite_number(duration, "duration"))
-        if not self.duration > 0:
-            raise SceneError(f"duration = {self.duration:g} s: give a horizon longer than 0 s")
+        put(self, "duration", finite_number(duration, "duration", "above 0"))
         for i, legs in with_legs:
             with naming(f"contacts[{i}]"):
                 check_legs(legs, self.duration)

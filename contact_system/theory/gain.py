@@ -102,11 +102,7 @@ class Gain:
 
     def __post_init__(self) -> None:
         one_of(self.law, LAWS, "gain: law")
-        value = finite_number(self.value, f"gain: {self.parameter}")
-        if value < 0:
-            raise SceneError(
-                f"gain: {self.parameter} = {value!r} is negative, so slip would grow; use 0 or more"
-            )
+        value = finite_number(self.value, f"gain: {self.parameter}", "not below 0")
         object.__setattr__(self, "value", value)
 
     @classmethod
