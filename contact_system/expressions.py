@@ -53,21 +53,12 @@ _BINARY: dict[type[ast.operator], Meaning] = {
 def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
     """Return the value of a formula: a float, or a scalar SX expression if it uses the names.
 
-    Call it inside `theory.symbols.making_symbols` if there are names.
+    The text holds arithmetic (``+ - * / **``, parentheses), numbers, ``pi``, ``e``, the functions
+    of `FUNCTIONS`, and names, which take precedence over ``pi`` and ``e``. Call it inside
+    `theory.symbols.making_symbols` if there are names.
 
-    Parameters
-    ----------
-    text : str
-        Arithmetic (``+ - * / **``, parentheses), numbers, ``pi``, ``e`` and the functions of
-        `FUNCTIONS`.
-    names : mapping of str to SX
-        Symbols that the formula may use; they take precedence over ``pi`` and ``e``.
-
-    Raises
-    ------
-    ContactSystemError
-        Anything else in the text, or no result (``1/0``); names the text, the column (from 1) and
-        the nearest known name.
+    Raises a ContactSystemError for anything else, or no result (``1/0``); it names the text, the
+    column (from 1) and the nearest known name.
     """
     if not isinstance(text, str):
         raise ContactSystemError(f"formula {text!r} must be a text such as '2*pi/3'")

@@ -19,16 +19,8 @@ def writing(path: Path, place: str = "") -> Iterator[BinaryIO]:
     there and may be removed. It is flushed to the disk before it replaces the old file. Of a
     symbolic link the target is replaced. Permissions are those of a new file, by the umask.
 
-    Parameters
-    ----------
-    path : Path
-    place : str
-        Start of the error's text.
-
-    Raises
-    ------
-    SceneError
-        Why the file cannot be written; the old file stays, as it does after any other error.
+    Raises a SceneError that begins with ``place`` and says why the file cannot be written; the old
+    file stays, as it does after any other error.
     """
     target = Path(os.path.realpath(path))
     # two may write one file

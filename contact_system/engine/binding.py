@@ -212,18 +212,7 @@ def sign_changes(
 
 
 def run(table: TableData, points: np.ndarray, constants: Any) -> np.ndarray:
-    """Evaluate a table at many points.
-
-    Parameters
-    ----------
-    table : TableData
-    points : (n_in, n)
-    constants : (n_const,)
-
-    Returns
-    -------
-    (n_out, n)
-    """
+    """Evaluate a table at points (n_in, n), with constants (n_const,): (n_out, n)."""
     points = np.ascontiguousarray(points, dtype=float)
     constants = np.ascontiguousarray(constants, dtype=float)
     out = np.empty((table.n_out, points.shape[1]))
@@ -235,21 +224,8 @@ def run(table: TableData, points: np.ndarray, constants: Any) -> np.ndarray:
 class Machine:
     """A table with registers of its own, for frequent evaluation by one thread at a time.
 
-    Parameters
-    ----------
-    table : lowering.Table
-    constants : (n_const,)
-    registers : (n_regs,), optional
-        To run on, zeros.
-
-    Attributes
-    ----------
-    point : (n_in,)
-        Input.
-    results : (n_out,)
-        Output.
-    run : callable
-        Evaluates the table.
+    ``run`` evaluates the table at ``point`` (n_in,), and writes ``results`` (n_out,). constants:
+    (n_const,); registers: (n_regs,), zeros to run on.
     """
 
     def __init__(

@@ -58,14 +58,10 @@ class Formula:
 
 
 def make_formula(formula: Any, parameters: Any, letters: str) -> Formula:
-    """Turn what a user wrote into a checked `Formula`.
+    """Turn what a user wrote, a function, texts or a `Formula`, into a checked `Formula`.
 
-    Parameters
-    ----------
-    formula : callable, text, sequence of texts or Formula
-    parameters : mapping of str to float, or None
-    letters : {"uv", "xyz"}
-        Coordinates in texts: "uv" of a chart with three components, "xyz" of a level function.
+    letters: the coordinates in texts, "uv" of a chart with three components, "xyz" of a level
+    function.
     """
     numbers = _named(parameters, letters)
     if letters == "uv":

@@ -135,16 +135,9 @@ def relative_twist(
 
     Returns omega (3), rad/s, and the velocity of the frame's origin (3), m/s.
 
-    Parameters
-    ----------
-    frames, r0
-        As for :func:`relative_pose`.
-    shapes : two SX (3)
-        K_pp, K_pq, K_qq of finger and object.
-    velocities : two SX (2)
-        a_1, a_2: velocity of the contact point in (p_i, q_i), m/s.
-    v_rel : SX (2)
-        Slip along (p_2, q_2), m/s.
+    frames, r0: as for :func:`relative_pose`; shapes: K_pp, K_pq, K_qq of finger and object;
+    velocities (2): a_1 and a_2 of the contact point, along (p_i, q_i), m/s; v_rel (2): slip along
+    (p_2, q_2), m/s.
     """
     x2, p2, q2 = ca.vertsplit(frames[1], [0, 3, 6, 9])
     k1, k2 = (symmetric(*ca.vertsplit(k)) for k in shapes)

@@ -115,17 +115,9 @@ def replay(
     """Replay the instructions of a dense SX function on scalars of any type.
 
     Scalars may be mpmath numbers, Drake expressions, or indices of instructions. Only this function
-    reads CasADi's instructions.
-
-    Parameters
-    ----------
-    function : casadi.Function
-    arguments : sequence of sequences
-        The scalars of each input, column-major; those of each output are returned.
-    apply : callable
-        ``apply(op, operands)`` returns the value of the CasADi operation ``op``.
-    constant : callable
-        Turns a float constant of the expression into the scalar type.
+    reads CasADi's instructions. It takes the scalars of each input, column by column, and returns
+    those of each output. ``apply(op, operands)`` gives the value of the CasADi operation ``op``,
+    ``constant`` that of a float in the expression.
     """
     work: list[Any] = [None] * function.sz_w()
     results: list[list[Any]] = [
