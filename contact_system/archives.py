@@ -15,10 +15,8 @@ from .errors import ContactSystemError
 def opened(path: str | os.PathLike[str], what: str) -> Iterator[zipfile.ZipFile]:
     """The archive, for reading; `what` says in errors which file is expected.
 
-    Raises
-    ------
-    ContactSystemError
-        No regular file, or no archive; also for what is found damaged or encrypted while reading.
+    Raises a ContactSystemError for no regular file, or no archive; also for what is found damaged
+    or encrypted while reading.
     """
     try:
         require_regular(path)

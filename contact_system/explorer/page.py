@@ -60,20 +60,9 @@ class Sampled:
 
 
 class Explorer:
-    """A scene in the browser.
+    """A scene in the browser, at a port; 0: any free one. The button *Save scene* writes `file`.
 
-    Parameters
-    ----------
-    scene : Scene
-    file : Path
-        Where the button *Save scene* writes.
-    port : int
-        0: any free one.
-
-    Raises
-    ------
-    ContactSystemError
-        A scene that cannot be planned, or a port that is in use.
+    Raises a ContactSystemError for a scene that cannot be planned, or a port that is in use.
     """
 
     def __init__(self, scene: Scene, file: Path, port: int = 8080):

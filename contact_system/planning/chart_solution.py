@@ -34,11 +34,8 @@ OUTPUTS = {
 class ChartMotion:
     """All contacts by the chart equations; with the methods of :class:`.planning.motion.Motion`.
 
-    Raises
-    ------
-    ContactSystemError
-        sigma = 0 inside the horizon, imposed rolling, a surface without a chart, a path into a
-        singular point, or a solver that fails.
+    Raises a ContactSystemError for sigma = 0 inside the horizon, imposed rolling, a surface without
+    a chart, a path into a singular point, or a solver that fails.
     """
 
     def __init__(

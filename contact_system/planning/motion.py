@@ -61,15 +61,7 @@ IN_CONTACT_FRAMES = {"states", "slip", "acceleration", "carried"}
 
 
 class Buffer:
-    """The numbers of a scene for the engine.
-
-    Attributes
-    ----------
-    numbers : bytes
-        Doubles.
-    surfaces : list of Surface
-        The surfaces that the buffer refers to by their index.
-    """
+    """A scene for the engine: its `numbers`, doubles, with `surfaces` given by their index."""
 
     def __init__(self, scene: Scene, tolerance: float, begin: float, starts: Starts | None):
         self.surfaces: list[Surface] = []

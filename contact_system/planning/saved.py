@@ -39,10 +39,8 @@ def digest(texts: Iterable[str]) -> str:
 def inputs_of(archive: ZipFile, source: str) -> dict[str, Any]:
     """The arguments of a saved plan; `source` names its file.
 
-    Raises
-    ------
-    ContactSystemError
-        It exceeds a limit, or was changed after it was written; other errors if it is no such file.
+    Raises a ContactSystemError if it exceeds a limit, or was changed after it was written; other
+    errors if it is no such file.
     """
     texts = []
     for name in ("scene", "plan", "digest"):

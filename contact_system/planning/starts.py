@@ -48,12 +48,8 @@ def measured_start(
 ) -> Start:
     """The start of a contact from its measured state at time t.
 
-    row (9): u1 v1 u1' v1' u2 v2 u2' v2' psi, object rates including the rate offset (2).
-
-    Raises
-    ------
-    SceneError
-        NaN, sigma = 0, a pole, or coordinates outside the chart.
+    row (9): u1 v1 u1' v1' u2 v2 u2' v2' psi, object rates including the rate offset (2). Refuses
+    NaN, sigma = 0, a pole, and coordinates outside the chart.
     """
     where = f"{scene.title}, restart at t = {t:g} s, contact {index}"
     sigma = float(speed(scene.way(index), np.array(t)))

@@ -62,13 +62,7 @@ _DOTTED = re.compile(r"(?<![^\s\[])(?:[^\s.\[]++\s*+\.\s*+){2,}+")
 
 
 def scene_from_toml(text: str, source: str = "") -> Scene:
-    """The scene that a TOML text describes; without a name it gets the source's.
-
-    Raises
-    ------
-    SceneError
-        Naming the source, the contact, the key, the value and the remedy.
-    """
+    """The scene that a TOML text describes; without a name it gets the source's."""
     with naming(source or "TOML text"):
         try:
             return _scene(text, source)
@@ -250,10 +244,7 @@ def _numbers(value: Any, what: str) -> Any:
 def scene_to_toml(scene: Scene) -> str:
     """TOML text of a scene; reading it back gives an equal scene, every float to the last bit.
 
-    Raises
-    ------
-    SceneError
-        A surface was given as a Python function or is of your own class: files cannot hold it.
+    Refuses a surface that was given as a Python function, or is of your own class.
     """
     with naming(scene.title):
         table = {key: getattr(scene, key) for key in ("name", "description", "duration")}

@@ -88,21 +88,12 @@ def rest_to_rest(length: float, duration: float) -> Profile:
 
 
 class Stretch(NamedTuple):
-    """A leg, or the rest after the last one, at its place in the horizon.
+    """A leg, or the rest after the last one, at its place in the horizon."""
 
-    Attributes
-    ----------
-    start, stop : float, s
-    profile : Profile
-        sigma over the time since ``start``.
-    turn : (float, float)
-        Cosine and sine of the path's turn at ``start``.
-    """
-
-    start: float
+    start: float  # s
     stop: float
-    profile: Profile
-    turn: tuple[float, float] = STRAIGHT
+    profile: Profile  # sigma over the time since the start
+    turn: tuple[float, float] = STRAIGHT  # cosine and sine of the path's turn at the start
 
 
 def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
@@ -139,13 +130,7 @@ def length(way: Sequence[Stretch], t: float) -> float:
 
 
 def check_legs(legs: Sequence[Leg], duration: float) -> None:
-    """Check that legs fit a horizon, and that the contact rests wherever its path turns.
-
-    Raises
-    ------
-    SceneError
-        Naming the leg, the value and the remedy.
-    """
+    """Refuse legs that do not fit a horizon, or turn where the contact does not rest."""
     whole = math.fsum(leg.duration for leg in legs)
     if whole > duration * (1 + 1e-14):
         raise SceneError(
