@@ -124,7 +124,7 @@ enum {
 typedef struct {
   int64_t code, contact, side, panels, by_length, pushed;
   int64_t spent, most, greediest; /* panels tried for the plan, for the contact that took most */
-  double t, end, value, u, v;     /* value: sigma, or the path's length in sizes */
+  double t, end, value, u, v;     /* value: sigma, or the path's length in sizes, at most `end` */
 } failure_t;
 
 /* what became of one interval of one body */

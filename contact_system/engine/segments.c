@@ -277,7 +277,8 @@ static void refuse_endless(course_t *c) {
   for (int side = 0; side < 2; side++) {
     const double sizes = norm(side ? given : c->w1) * path / c->c->body[side].size;
     if (sizes <= ENDLESS) continue;
-    c->w->failure->side = side, c->w->failure->value = sizes;
+    failure_t *e = c->w->failure;
+    e->side = side, e->value = sizes, e->end = ENDLESS;
     fail(c->w, TOO_LONG);
   }
 }

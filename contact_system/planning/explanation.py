@@ -12,7 +12,6 @@ from ..scene import DISTURBANCE_KINDS, STILL, Scene
 from ..surfaces import ImplicitSurface, Surface
 
 SIDES = ("finger", "object")
-LONGEST_PATH = 1e11  # sizes of the body
 ALMOST_RESTS = 1e-5  # of the greatest coefficient of sigma
 EPS = 2.0**-52
 
@@ -167,7 +166,7 @@ def failed(scene: Scene, failure: Failure) -> Exception:
     if failure.code == TOO_LONG:
         return SceneError(
             f"{name}: its path is {failure.value:.3g} times as long as {surface!r} is large; "
-            f"above {LONGEST_PATH:g} rounding leaves less than four digits of its position; lower "
+            f"above {failure.end:g} rounding leaves less than four digits of its position; lower "
             "its velocity, sigma or the duration"
         )
     if failure.code == SINGULAR_CHART:

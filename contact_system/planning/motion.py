@@ -32,9 +32,7 @@ if VERSION != 8:
     )
 _HEAD, _ROW = struct.Struct(f"{HEADER}d").pack, struct.Struct(f"{CONTACT}d").pack
 
-Numbers = tuple[float, ...]
-
-_NO_FRAME: Numbers = (0.0,) * 6
+_NO_FRAME = (0.0,) * 6
 
 SHAPES: dict[str, tuple[int, ...]] = {
     "states": (9,),
@@ -67,7 +65,7 @@ class Buffer:
         self.surfaces: list[Surface] = []
         self._tail: list[float] = []  # what follows header and contacts, from here on
         self._after = HEADER + CONTACT * len(scene.contacts)
-        self._bodies: dict[int, Numbers] = {}
+        self._bodies: dict[int, tuple[float, ...]] = {}
         law, obj = LAWS[scene.gain.law], self._body(scene.object)
         rows = self._rows(scene, begin, starts)
         head = _HEAD(
@@ -82,7 +80,7 @@ class Buffer:
         self._tail += numbers
         return index
 
-    def _body(self, surface: Surface) -> Numbers:
+    def _body(self, surface: Surface) -> tuple[float, ...]:
         body = self._bodies.get(id(surface))
         if body is None:
             self.surfaces.append(surface)
@@ -137,14 +135,14 @@ def _windows(scene: Scene, begin: float) -> dict[int, list[Disturbance]]:
     return windows
 
 
-def _solved_frames(scene: Scene, begins: Sequence[Any]) -> dict[int, list[Numbers]]:
+def _solved_frames(scene: Scene, begins: Sequence[Any]) -> dict[int, list[tuple[float, ...]]]:
     """(x, p) of finger and object by contact, of surfaces without a chart, where points are solved
     for; other surfaces have ().
 
     All points of one surface are solved for at once.
     """
     places: dict[Surface, list[tuple[int, int]]] = {}
-    frames: dict[int, list[Numbers]] = {}
+    frames: dict[int, list[tuple[float, ...]]] = {}
     if isinstance(begins[0], Moment):
         return frames
     for i, contact in enumerate(scene.contacts):
