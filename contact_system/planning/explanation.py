@@ -138,31 +138,8 @@ def failed(scene: Scene, failure: Failure) -> Exception:
     """The error of a failed call of the engine."""
     name, contact = f"{scene.title}, contact {failure.contact}", scene.contacts[failure.contact]
     surface = (contact.finger, scene.object)[failure.side]
-    where = f"{failure.t:.9g}"
-    reached = f"arc length {where} m" if failure.by_length else f"t = {where} s"
-    place = failure.u, failure.v
-    why = _singular(surface, place) if failure.code in (STUCK, TOO_MANY_PANELS) else ""
-    if failure.code == STUCK and not why:
-        why = _accelerated_at_rest(scene, failure) or (
-            "the path reaches a singular point of its chart or its surface, or it is so fast, or "
-            "so far from the body's origin, that rounding exceeds the tolerance; start elsewhere, "
-            "change the direction, end the scene before or give a greater tolerance"
-        )
-    if why:
-        return ContactSystemError(f"{name}: the motion cannot be continued past {reached}: {why}")
-    if failure.code == TOO_MANY_PANELS:
-        why = _accelerated_at_rest(scene, failure) or (
-            f"{_far_away(surface, contact.start()[failure.side])}shorten the scene, lower the "
-            "speed, the acceleration or the surface's curvature, or give a surface of your own a "
-            "greater size; where the path comes to where a formula has no values, end the scene or "
-            "the disturbance before"
-        )
-        return ContactSystemError(
-            f"{name}: {failure.panels} panels reach {reached} of {failure.end:.9g} only, and the "
-            f"plan has tried {failure.spent} of at most {limits.PANELS:.15g}, {failure.most} of "
-            f"them for contact {failure.greediest}; {why}, or set contact_system.limits.PANELS "
-            "higher"
-        )
+    if failure.code in (STUCK, TOO_MANY_PANELS):
+        return ContactSystemError(f"{name}: {_ended_early(scene, failure, surface)}")
     if failure.code == TOO_LONG:
         return SceneError(
             f"{name}: its path is {failure.value:.3g} times as long as {surface!r} is large; "
@@ -170,7 +147,7 @@ def failed(scene: Scene, failure: Failure) -> Exception:
             "its velocity, sigma or the duration"
         )
     if failure.code == SINGULAR_CHART:
-        return passed(name, surface, place)
+        return passed(name, surface, (failure.u, failure.v))
     if failure.code == SINGULAR_TIME:
         return ChartSingularity(
             f"{name}: {surface!r}: at t = {failure.t:.17g} s the contact is at a singular point of "
@@ -179,6 +156,32 @@ def failed(scene: Scene, failure: Failure) -> Exception:
         )
     return ContactSystemError(
         f"{name}: there is not enough memory; shorten the scene, or plan fewer contacts at once"
+    )
+
+
+def _ended_early(scene: Scene, failure: Failure, surface: Surface) -> str:
+    """Where and why a motion does not get on, and what to do."""
+    where = f"{failure.t:.9g}"
+    reached = f"arc length {where} m" if failure.by_length else f"t = {where} s"
+    why, at_rest = _singular(surface, (failure.u, failure.v)), _accelerated_at_rest(scene, failure)
+    if failure.code == STUCK and not why:
+        why = at_rest or (
+            "the path reaches a singular point of its chart or its surface, or it is so fast, or "
+            "so far from the body's origin, that rounding exceeds the tolerance; start elsewhere, "
+            "change the direction, end the scene before or give a greater tolerance"
+        )
+    if why:
+        return f"the motion cannot be continued past {reached}: {why}"
+    start = scene.contacts[failure.contact].start()[failure.side]
+    why = at_rest or (
+        f"{_far_away(surface, start)}shorten the scene, lower the speed, the acceleration or the "
+        "surface's curvature, or give a surface of your own a greater size; where the path comes "
+        "to where a formula has no values, end the scene or the disturbance before"
+    )
+    return (
+        f"{failure.panels} panels reach {reached} of {failure.end:.9g} only, and the plan has "
+        f"tried {failure.spent} of at most {limits.PANELS:.15g}, {failure.most} of them for "
+        f"contact {failure.greediest}; {why}, or set contact_system.limits.PANELS higher"
     )
 
 
