@@ -504,10 +504,7 @@ def system_table(system: SceneSystem, *outputs: str) -> tuple[Table, list[int]]:
 class SystemMachine(Machine):
     """A scene's system for integrators that evaluate it often; its `point` is t, x, w and held.
 
-    Attributes
-    ----------
-    parts : list of arrays
-        Its `results`, split into one array for each output.
+    `parts` are its `results`, one array for each output.
     """
 
     def __init__(self, system: SceneSystem, *outputs: str):

@@ -38,12 +38,8 @@ MOST_SIZES = 1e4  # between points; the time of a search grows with their distan
 class Follower(Followed):
     """Follows geodesics of a surface from states (6 or 3, n): see ``geodesics`` in engine.h.
 
-    Attributes
-    ----------
-    space : bool
-        Whether states are in space, (x, p).
-    detail : float
-        Length over which the surface is nearly flat, m.
+    space: whether states are in space, (x, p); detail: length over which the surface is nearly
+    flat, m.
     """
 
     def __init__(self, surface: Surface):

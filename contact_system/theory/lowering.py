@@ -228,12 +228,8 @@ class _Values:
 class Table(TableData):
     """A program of instructions, made from (point, constants) -> result.
 
-    Attributes
-    ----------
-    words : two (n, 4) uint16
-        Those of prologue and body: rows of op, to, a, b; the last is all 0.
-    numbers : (n_lit,) float64
-        The literals.
+    words: the instructions of prologue and body, (n, 4) uint16 each, rows of op, to, a, b, of which
+    the last is all 0; numbers: the literals, (n_lit,).
     """
 
     def __init__(self, function: ca.Function):
