@@ -34,10 +34,10 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     return 0 if len(files) == 1 and files.pop().is_file() else None
 
 
-def turned(*eigenvalues: float) -> cs.Quadric:
+def turned(*eigenvalues: float, **options: int) -> cs.Quadric:
     """The quadric with these eigenvalues (1/m^2) and axes along nothing special."""
     matrix = TURN @ np.diag(eigenvalues) @ TURN.T
-    return cs.Quadric((matrix + matrix.T) / 2)
+    return cs.Quadric((matrix + matrix.T) / 2, **options)
 
 
 # A surface of each kind, and coordinates on it off poles, umbilics and seams.

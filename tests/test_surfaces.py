@@ -8,7 +8,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from conftest import TURN
+from conftest import turned
 
 from contact_system import (
     ChartSingularity,
@@ -38,12 +38,6 @@ SIGNATURES = {
     "planes": (4.0, 0.0, 0.0),
 }
 
-
-def turned_quadric(name: str, **options) -> Quadric:
-    matrix = TURN @ np.diag(SIGNATURES[name]) @ TURN.T
-    return Quadric((matrix + matrix.T) / 2, **options)
-
-
 EXPLICIT: dict[str, Surface] = {
     "plane": Plane(),
     "sphere": Sphere(0.1),
@@ -53,7 +47,7 @@ EXPLICIT: dict[str, Surface] = {
     "ellipsoid oblate": Ellipsoid(0.3, 0.3, 0.1),
     "ellipsoid prolate": Ellipsoid(0.3, 0.1, 0.1),
     "ellipsoid round": Ellipsoid(0.2, 0.2, 0.2),
-    **{f"quadric {name}": turned_quadric(name) for name in SIGNATURES},
+    **{f"quadric {name}": turned(*values) for name, values in SIGNATURES.items()},
 }
 IMPLICIT = ImplicitSurface("x**2/a**2 + y**4 + z**2 - 1", parameters={"a": 1.5}, size=1.5)
 RADII = {"R": 0.1, "r": 0.03}
@@ -144,7 +138,7 @@ def test_inside_turns_v_and_the_normal_and_keeps_the_surface(name):
 
 @pytest.mark.parametrize("name", ["two sheets", "hyperbolic cylinder", "planes"])
 def test_other_sheet_lies_opposite_with_its_normal_outward(name):
-    upper, lower = turned_quadric(name), turned_quadric(name, sheet=-1)
+    upper, lower = turned(*SIGNATURES[name]), turned(*SIGNATURES[name], sheet=-1)
     u, v = np.random.default_rng(6).uniform(-2, 2, (2, 20))
     first_axis = upper.normal(0.0, 0.0)
     assert np.all(upper.point(u, v) @ first_axis > 0)
@@ -154,7 +148,7 @@ def test_other_sheet_lies_opposite_with_its_normal_outward(name):
 
 @pytest.mark.parametrize("name", SIGNATURES)
 def test_quadric_points_satisfy_its_equation(name):
-    surface = turned_quadric(name)
+    surface = EXPLICIT[f"quadric {name}"]
     u, v = sample(surface)
     x = surface.point(u, v)
     value = np.einsum("ni,ij,nj->n", x, np.array(surface.A), x)
@@ -162,14 +156,16 @@ def test_quadric_points_satisfy_its_equation(name):
 
 
 def test_quadrics_know_their_degenerate_cases_through_rounding_and_no_others():
-    for ball in (turned_quadric("round"), Ellipsoid(1, 1, 1), Sphere(1)):
-        assert ball.chart.great_circles
-    for flat in (turned_quadric("round cylinder"), turned_quadric("planes"), Plane(), Cylinder(1)):
-        assert flat.chart.developable
-    assert turned_quadric("oblate").periods() == (2 * pi, None)
+    for ball in ("sphere", "ellipsoid round", "quadric round"):
+        assert EXPLICIT[ball].chart.great_circles
+    for flat in ("plane", "cylinder", "quadric round cylinder", "quadric planes"):
+        assert EXPLICIT[flat].chart.developable
+    assert EXPLICIT["quadric oblate"].periods() == (2 * pi, None)
     nearly = [Quadric(np.diag(values)) for values in ([1.0, 1.0, 1.0 + 1e-10], [1.0, 4.0, 1e-10])]
-    for other in (turned_quadric("triaxial"), *nearly):
+    for other in (EXPLICIT["quadric triaxial"], *nearly):
         assert not other.chart.great_circles and not other.chart.developable
+    for own in (np.diag([1.0, 4.0, 9.0]), np.diag([4.0, -1.0, -2.0])):
+        assert np.allclose(Quadric(own + 1e-15).point(1, 0.5), Quadric(own).point(1, 0.5))
 
 
 # --- canonical coordinates

@@ -99,8 +99,10 @@ class Quadric(SecondDegree):
     """x^T A x = 1 for a symmetric A of any signature that gives a smooth surface.
 
     An ellipsoid in any orientation (charts of `Ellipsoid`), hyperboloids of one and two sheets,
-    elliptic and hyperbolic cylinders, a pair of planes. The chart uses the principal axes;
-    ``help(surface.chart)`` shows it. The body is where x^T A x < 1.
+    elliptic and hyperbolic cylinders, a pair of planes. The chart, which ``help(surface.chart)``
+    shows, uses the principal axes with their greatest components positive (the third is reversed
+    if they would be left-handed). Where A is not diagonal, rounding chooses the directions of equal
+    axes. The body is where x^T A x < 1.
 
     Parameters
     ----------
@@ -203,6 +205,8 @@ def _principal_chart(matrix: Array) -> tuple[type[Chart], tuple[float, ...], Arr
     diagonal = np.diag(matrix)
     given = not np.any(matrix - np.diag(diagonal))  # exactly
     values, vectors = (diagonal, np.eye(3)) if given else np.linalg.eigh(matrix)
+    # eigh chooses signs by rounding
+    vectors = vectors * np.sign(vectors[np.abs(vectors).argmax(axis=0), range(3)])
     scale = np.max(np.abs(values))
     # eigh has an error of a few units in the last place of the greatest eigenvalue
     values = np.where(np.abs(values) <= 8 * np.finfo(float).eps * scale, 0.0, values)
