@@ -82,6 +82,7 @@ def test_legs_are_kept_in_files_and_by_each_contact(tmp_path):
     both = first.replace(contacts=contacts, profile=cs.Profile([0.05]), duration=5.0)
     t = np.linspace(0.0, 4.0, 9)
     assert cs.plan(both).points(t)[:, :1] == pytest.approx(cs.plan(first).points(t), abs=1e-15)
+    assert cs.Leg(0.1, None, 1.0, cs.Profile([0.0, 0.0])) == cs.Leg(0.1, 0.0, 1.0)
     rest = cs.plan(both).points([4.0, 5.0])[:, 0]
     assert np.array_equal(rest[0], rest[1])
 

@@ -69,6 +69,8 @@ class Leg:
         of_kind(Profile, self.profile, "profile", "a Profile")
         if any(self.profile.coefficients):
             self.profile.check(self.duration)
+        else:
+            put(self, "profile", STILL)
         own = float(self.profile.arc_length(self.duration))
         if self.length is not None and not math.isclose(own, self.length, rel_tol=_JUMP):
             raise SceneError(
