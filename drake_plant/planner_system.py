@@ -198,7 +198,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         self._Declare(system, system.x0, period)
         self._scratches = PerThread(partial(Scratch, system), {})
         self._exact = functools.lru_cache(maxsize=16)(partial(exact_plan, scene))
-        size = 2 + 9 * len(scene.contacts)
+        size = 4 + 9 * len(scene.contacts)
         _, self._begun = array_entry(self._CalcBegun, (size,), {self.nothing_ticket()})
         self.DeclareInitializationPublishEvent(weakly(self._Begin))
         self.DeclarePerStepPublishEvent(weakly(self._Watch))
@@ -226,19 +226,20 @@ class ContactPlanner(_Convertible, LeafSystem):
                 begun[0] = DISTURBED
                 return
             if begun[0] == DISTURBED:
-                own.began = own.look = t
+                begun[2:4] = t
                 self._Follow(context, self._Parts(context, "state")[0])
-        if t < own.look:
+        if t < begun[3]:
             return
-        own.look = t + min(t - own.began, self.system.scene.duration / LOOKS)
+        begun[3] = t + min(t - begun[2], self.system.scene.duration / LOOKS)
         plan = self._Exact(context)
         if plan is not None:
             points = self._Parts(context, "contact_point")[0]
             refuse_drift(self.system.scene, plan, t, points, self._tolerance)
 
     def _CalcBegun(self, context: Any) -> Array:
-        """What a Context has until `_Follow` writes: no simulation has begun."""
-        return np.zeros(2 + 9 * len(self.system.scene.contacts))
+        """What is followed, and from when on; when the simulation began, and when it is compared
+        with the plan next; the state that it followed from. Zeros: no simulation has begun."""
+        return np.zeros(4 + 9 * len(self.system.scene.contacts))
 
     def _Begin(self, context: Any) -> None:
         """From now on contacts are compared with the plan from the state that a Context has."""
@@ -262,7 +263,7 @@ class ContactPlanner(_Convertible, LeafSystem):
                     "the state of another leg: set time and state of one moment, such as 0 and "
                     "that of SetDefaultContext, which leaves the time alone, or give a PlanSource"
                 )
-        own.began = own.look = t
+        self._begun(context)[2:4] = t
         starts = (t, *own.x, *own.held) == (0.0, *system.x0, *system.held0)
         self._Follow(context, None if starts else self._Parts(context, "state")[0])
 
@@ -271,14 +272,14 @@ class ContactPlanner(_Convertible, LeafSystem):
         begun = self._begun(context)
         begun[:2] = AS_SCENE if state is None else AS_STATE, context.get_time()
         if state is not None:
-            begun[2:] = state
+            begun[4:] = state
 
     def _Exact(self, context: Any) -> Plan | None:
         """The plan from where contacts began, where it is known now."""
         begun, t = self._begun(context), context.get_time()
         if begun[0] not in (AS_SCENE, AS_STATE):  # not initialized, or disturbed
             return None
-        state = begun[2:].tobytes() if begun[0] == AS_STATE else b""
+        state = begun[4:].tobytes() if begun[0] == AS_STATE else b""
         plan = self._exact(float(begun[1]), state, max(t, self.system.scene.duration))
         return plan if plan is not None and plan.start <= t <= plan.end else None
 

@@ -25,7 +25,6 @@ class Scratch:
     ----------
     t, x, w, held : arguments of `SceneSystem.function`, the first of `given`
     same : between these times w stays as it is
-    began, look : when the simulation did, and when it is compared with the plan next
     written : t and x, as they are written fastest
     rates : run, guard and derivatives of the machine of the derivatives
     """
@@ -39,7 +38,6 @@ class Scratch:
         self.t, self.x, self.w, self.held = self.given
         self._given = machine.point
         self.x[:], self.held[:] = system.x0, system.held0
-        self.began = self.look = 0.0
         rates, guard, clearance = machine.parts
         self.written = self.t.data, self.x.data
         self.rates = machine.run, guard.data, rates
