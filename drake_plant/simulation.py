@@ -27,12 +27,14 @@ from .balance import friction_used
 from .config import StationConfig, checked
 from .contact_monitor import COLUMNS
 from .hand_kinematics import moving_joints
+from .planner_base import PORTS
 from .plant import ScenePlant
 from .recording import Recording
 from .reorientation import Reorientation, plan_reorientation
+from .scratch import slices
 from .station import BuildHandStation, SetInitialState, build
 
-PLANNED = ("state", "slip", "contact_point")
+PLANNED = slices({name: PORTS[name] for name in ("state", "slip", "contact_point")})
 BALANCED = ("normal_force", "friction_used")
 NEAR = 1e-6  # of a period, by which a step may end before it
 LOGGED = 2e-3  # s, at which simulate logs where steps are shorter
@@ -185,11 +187,11 @@ def simulate(
     SetInitialState(run.station, run.root)
     planner = run.station.GetSubsystemByName("planner")
     own = planner.GetMyContextFromRoot(run.root)
-    asked: Asked = {name: partial(planner.Evaluate, own, name) for name in PLANNED}
+    asked: Asked = {"planned": partial(planner.Evaluate, own, *PLANNED)}
     for name in BALANCED if config.balances else ():
         asked[name] = partial(run.station.GetOutputPort(f"planned_{name}").Eval, run.root)
     t, said, measured = run.follow(duration, progress, asked)
-    planned = {name: said[name] for name in PLANNED}
+    planned = {name: said["planned"][:, :, own] for name, own in PLANNED.items()}
     planned["contact_point"] = planned["contact_point"][:, :, 3:]
     for name, constant in zip(BALANCED, (config.normal_force, 0.0)):
         planned[name] = said.get(name, np.full_like(measured["normal_force"], constant))
