@@ -27,7 +27,7 @@ from .balance import friction_used
 from .config import StationConfig, checked
 from .contact_monitor import COLUMNS
 from .hand_kinematics import moving_joints
-from .planner_base import PORTS
+from .planner_base import EARLY, PORTS
 from .plant import ScenePlant
 from .recording import Recording
 from .reorientation import Reorientation, plan_reorientation
@@ -311,9 +311,8 @@ class Run:
             t = root.get_time()
             if progress is not None:
                 progress(t)
-            steps = t / step if step else 0.0
-            # others are the planner's, within one of the plant
-            if t >= duration or abs(steps - round(steps)) <= NEAR:
+            # others are the planner's, within a step of the plant, such as that before a restart
+            if t >= duration or not step or abs(math.remainder(t, step)) < EARLY / 2:
                 periods = math.floor(t / period + NEAR)
                 due = t >= duration or periods >= following
                 if due or not (measured()[:, COLUMNS["normal_force"]] > 0).all():
