@@ -49,8 +49,8 @@ CONTINUOUS.accuracy = 1e-4
 
 @dataclass(eq=False, repr=False)
 class SimulationResult:
-    """What :func:`simulate` saw, about every 2 ms and at the end of every step in which a finger is
-    off the object. m times, n contacts; SI units.
+    """What :func:`simulate` saw, about every 2 ms, at the end of every step in which a finger is
+    off the object, and at that of the last whole step. m times, n contacts; SI units.
 
     Attributes
     ----------
@@ -311,10 +311,10 @@ class Run:
             t = root.get_time()
             if progress is not None:
                 progress(t)
-            # others are the planner's, within a step of the plant, such as that before a restart
-            if t >= duration or not step or abs(math.remainder(t, step)) < EARLY / 2:
+            # others are the planner's, within a step of the plant, whose state is that of its end
+            if not step or abs(math.remainder(t, step)) < EARLY / 2:
                 periods = math.floor(t / period + NEAR)
-                due = t >= duration or periods >= following
+                due = periods >= following or t + max(step - EARLY, 0.0) >= duration
                 if due or not (measured()[:, COLUMNS["normal_force"]] > 0).all():
                     following = periods + 1
                     rows.append([np.array(ask()) for ask in asked.values()])
