@@ -339,9 +339,9 @@ def test_an_acceleration_of_a_path_at_rest_has_no_rate_and_no_derivative(kind, v
     rate = "der(contact[1].frame.velocity.x)"
     words = r"der\(contact\[1\].frame.velocity.x\) has no value at t = 0 s: sigma is zero"
     one.refused(words, one.directional, [rate], [PUSH], [1.0])
-    if version == "3.0":
-        one.refused("sigma is zero", one.product, "Adjoint", [rate], [PUSH], [1.0])
     one.put({PUSH: 0.5})
+    if version == "3.0":  # of no contact's own known either
+        one.refused(words, one.product, "Adjoint", [rate], ["contact[1].finger.radius"], [1.0])
     one.refused(words, one.get, rate)  # 4e+297, with status OK
     one.put({PUSH: 0.0})
     assert one.get(rate) == [0.0]

@@ -235,12 +235,12 @@ static status_t multiply(component_t *c, int transposed, const unsigned unknowns
                          size_t n_unknowns, const unsigned knowns[], size_t n_knowns,
                          const double *seed, double *value, size_t n) {
   size_t at = 0;
-  if (transposed) memset(value, 0, n * sizeof *value);
+  if (n) memset(value, 0, n * sizeof *value);
   for (long i = 0; i < c->model->n_contacts; i++) c->live[i].derived = 0;
   EACH_VALUE(r, unknowns, n_unknowns)
   c->live[c->model->values[r].owner].derived |= !transposed || seed[at++] != 0.0;
   for (size_t done = 0; done < (transposed ? n : 1); done += L) {
-    const size_t more = n - done < L ? n - done : L;
+    const size_t more = !transposed ? 1 : n - done < L ? n - done : L;
     at = 0;
     memset(c->grows, 0, (size_t)c->model->n_values * sizeof *c->grows);
     EACH_VALUE(r, knowns, n_knowns) {
@@ -254,9 +254,11 @@ static status_t multiply(component_t *c, int transposed, const unsigned unknowns
     if (s) return s;
     at = 0;
     EACH_VALUE(r, unknowns, n_unknowns) {
-      for (size_t d = 0; d < more && transposed && seed[at] != 0.0; d++)
-        value[done + d] += seed[at] * c->grows[r][d];
-      if (!transposed) value[at] = c->grows[r][0];
+      for (size_t d = 0; d < more && (!transposed || seed[at] != 0.0); d++) {
+        const status_t wrong = check_found(c, r, c->grows[r] + d, 1);
+        if (wrong) return wrong;
+        value[transposed ? done + d : at] += (transposed ? seed[at] : 1.0) * c->grows[r][d];
+      }
       at++;
     }
   }
@@ -280,11 +282,8 @@ static status_t products(component_t *c, int transposed, const unsigned unknowns
   for (size_t k = 0; k < n_knowns; k++)
     if (c->model->values[knowns[k]].kind == CALCULATED)
       REFUSE("%s is not a known; give inputs, states or parameters", name_of(c->model, knowns[k]));
-  status_t s = SYSTEM(c->now) ? OK : settle(c, "values", c->now->time);
-  if (!s) s = multiply(c, transposed, unknowns, n_unknowns, knowns, n_knowns, seed, value, n);
-  for (size_t k = 0; k < n_to && !s; value += SIZE(c, to[k]), k++)
-    s = check_found(c, to[k], value, SIZE(c, to[k]));
-  return s;
+  const status_t s = SYSTEM(c->now) ? OK : settle(c, "values", c->now->time);
+  return s ? s : multiply(c, transposed, unknowns, n_unknowns, knowns, n_knowns, seed, value, n);
 }
 
 EXPORT status_t FMI(GetDirectionalDerivative)(void *instance, const unsigned unknowns[],
