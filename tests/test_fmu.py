@@ -153,13 +153,13 @@ def test_a_path_straight_through_a_pole_of_a_users_chart_ends_there(push, kind):
 
 @of_blocks
 def test_a_later_start_time_starts_there(kind, version):
-    scene = one_contact("ellipsoid", disturbances=[cs.ObjectRateOffset(0, 0.2, 0.4, (0.3, 0.1))])
+    slips_later = {"profile": (0.0, 0.2, -0.1), "gain": cs.Gain.guaranteed(3.0)}  # not from t = 0
+    window = cs.ObjectRateOffset(0, 0.2, 0.4, (0.3, 0.1))
+    scene = one_contact("ellipsoid", disturbances=[window], **slips_later)
     one = Instance(scene, kind, version).begin(0.25)
-    c = scene.profile.coefficients  # shifted by hand
-    shifted = (scene.profile(0.25), c[1] + 0.5 * c[2], c[2])
-    window = [cs.ObjectRateOffset(0, 0.0, 0.4 - 0.25, (0.3, 0.1))]
-    same = scene.replace(profile=cs.Profile(shifted), duration=0.65, disturbances=window)
-    plan = cs.plan(same, 1e-14)
+    shifted = cs.Profile((scene.profile(0.25), 0.2 - 0.5 * 0.1, -0.1))
+    window = cs.ObjectRateOffset(0, 0.0, 0.4 - 0.25, (0.3, 0.1))
+    plan = cs.plan(scene.replace(profile=shifted, duration=0.65, disturbances=[window]), 1e-14)
     for t in (0.3, 0.5, 0.9):
         one.step(t - one.time)
         close(one.states(), plan.states(min(t - 0.25, 0.65))[0])
