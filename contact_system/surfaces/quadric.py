@@ -100,9 +100,9 @@ class Quadric(SecondDegree):
 
     An ellipsoid in any orientation (charts of `Ellipsoid`), hyperboloids of one and two sheets,
     elliptic and hyperbolic cylinders, a pair of planes. The chart, which ``help(surface.chart)``
-    shows, uses the principal axes with their greatest components positive (the third is reversed
-    if they would be left-handed). Where A is not diagonal, rounding chooses the directions of equal
-    axes. The body is where x^T A x < 1.
+    shows, uses the principal axes with their greatest components positive, of equal ones the first
+    (the third axis is reversed if they would be left-handed). Where A is not diagonal, rounding
+    chooses the directions of equal axes. The body is where x^T A x < 1.
 
     Parameters
     ----------
@@ -205,8 +205,9 @@ def _principal_chart(matrix: Array) -> tuple[type[Chart], tuple[float, ...], Arr
     diagonal = np.diag(matrix)
     given = not np.any(matrix - np.diag(diagonal))  # exactly
     values, vectors = (diagonal, np.eye(3)) if given else np.linalg.eigh(matrix)
-    # eigh chooses signs by rounding
-    vectors = vectors * np.sign(vectors[np.abs(vectors).argmax(axis=0), range(3)])
+    # eigh chooses signs by rounding; of components that are equal but for it the first one counts
+    greatest = np.abs(vectors).round(6).argmax(axis=0)
+    vectors = vectors * np.sign(vectors[greatest, range(3)])
     scale = np.max(np.abs(values))
     # eigh has an error of a few units in the last place of the greatest eigenvalue
     values = np.where(np.abs(values) <= 8 * np.finfo(float).eps * scale, 0.0, values)
