@@ -45,7 +45,7 @@ from .kept import kept
 from .planning.starts import Moment, measured_start
 from .scene import SLOTS, Disturbance, Scene, Start, Stretch, acting, refuse_rest, require_scene
 from .scene.contact import rotated
-from .surfaces import TINY, Ellipsoid, Surface, UserSurface
+from .surfaces import TINY, Ellipsoid, Surface, UserSurface, run_in_space
 from .theory import symbols as ca
 from .theory.development import in_space
 from .theory.lowering import Table
@@ -465,14 +465,14 @@ def _frames(bodies: Sequence[Surface], start: Any, ambient: Sequence[bool]) -> l
 def _first_frame(surface: Surface, at: tuple[float, float], theta: float) -> list[float]:
     """x, p of a moving frame at (u, v), turned by theta from the contact frame."""
     if surface.has_chart:
-        return surface._in_space("start", np.vstack([*at, theta]))[:, 0].tolist()
+        return run_in_space(surface, "start", np.vstack([*at, theta]))[:, 0].tolist()
     point, frame = surface.point_and_frame(*at)
     return [*point, *(frame[:, :2] @ [math.cos(theta), math.sin(theta)])]
 
 
 def _turned_frame(surface: Surface, frame: Sequence[float], theta: float) -> list[float]:
     """x, p of a moving frame, turned by theta."""
-    second = surface._in_space("second", np.vstack(frame))[:, 0]
+    second = run_in_space(surface, "second", np.vstack(frame))[:, 0]
     return [*frame[:3], *(math.cos(theta) * np.array(frame[3:]) + math.sin(theta) * second)]
 
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from ..checks import finite_number, of_kind, shaped_array, whole_number
 from ..errors import SurfaceError
 from ..kept import kept
-from ..surfaces import SINGULAR, Surface
+from ..surfaces import SINGULAR, Surface, run_in_space
 from .shooting import MET, SHARP, Array, Follower, Search
 
 ON_SURFACE = 1e-9  # of the size: greatest distance from the surface of points on it
@@ -252,7 +252,7 @@ class Pairs:
 
     def _restored(self, x: Array, p: Array) -> tuple[Array, Array]:
         """Points (n, 3) put back on the surface, and vectors made unit tangents there."""
-        restored = self.surface._in_space("restore", x.T, np.broadcast_to(p, x.shape).T).T
+        restored = run_in_space(self.surface, "restore", x.T, np.broadcast_to(p, x.shape).T).T
         return restored[:, :3], restored[:, 3:]
 
     def _some_frame(self, x: Array) -> Array:
@@ -260,7 +260,7 @@ class Pairs:
         tries = np.stack([self._restored(x, axis)[1] for axis in np.eye(3)], axis=1)
         best = np.nanargmax(np.einsum("nii->ni", tries), axis=1)  # farthest from the normal
         p = tries[np.arange(len(x)), best]
-        q = self.surface._in_space("second", x.T, p.T).T
+        q = run_in_space(self.surface, "second", x.T, p.T).T
         return np.stack([p, q, np.cross(p, q)], axis=-1)
 
 

@@ -2,7 +2,7 @@
 
 # ruff: noqa: F401
 
-from .base import LEAST_LENGTH, SINGULAR, Surface
+from .base import LEAST_LENGTH, SINGULAR, Surface, run_in_space
 from .charts import TINY, TURN, Chart
 from .cylinder import Cylinder, RoundCylinderChart
 from .ellipsoid import Ellipsoid, JacobiChart, OblateChart, ProlateChart

@@ -371,13 +371,13 @@ class Surface:
             results.append(np.moveaxis(entries, -1, 0).reshape(u.shape + QUANTITIES[name]))
         return results
 
-    def _in_space(self, name: str, *rows: ArrayLike) -> Array:
-        """A table of `development.IN_SPACE` at states in columns, given by their rows."""
-        table = self.tables.ambient[IN_SPACE.index(name)]
-        return run(table, np.vstack(rows), self.numbers)
-
 
 # --- helpers --------------------------------------------------------------------------------------
+
+
+def run_in_space(surface: Surface, name: str, *rows: ArrayLike) -> Array:
+    """A table of `development.IN_SPACE` at states in columns, given by their rows."""
+    return run(surface.tables.ambient[IN_SPACE.index(name)], np.vstack(rows), surface.numbers)
 
 
 def store(surface: Surface, **values: Any) -> None:
