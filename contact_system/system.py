@@ -312,13 +312,13 @@ class SceneSystem:
                 x += _chart_state(bodies, start, sigma)
                 continue
             x += _frames(bodies, start, form.ambient)
-            carried = self._carried(start, sigma)
+            carried = self.carried(start, sigma)
             x += carried if form.forced else []
             held += [*([] if form.forced else [*carried, t - began]), *leg]
         return np.array(x), np.array(held)
 
-    def _carried(self, start: Any, sigma: float) -> list[float]:
-        """W_1 and V of a contact that starts, along its moving frames."""
+    def carried(self, start: Any, sigma: float) -> list[float]:
+        """W_1 and V of a contact that starts at this sigma, m/s, along its moving frames."""
         w1 = rotated(math.cos(start.angle), math.sin(start.angle), start.finger_velocity)
         if isinstance(start, Moment):
             return [*w1, *start.slip]

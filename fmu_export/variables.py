@@ -21,7 +21,6 @@ from contact_system.checks import one_of
 from contact_system.errors import SceneError
 from contact_system.kept import kept
 from contact_system.scene import Scene, require_scene
-from contact_system.scene.contact import rolled
 from contact_system.surfaces import Quadric, Surface
 from contact_system.surfaces.base import OfLengths
 from contact_system.system import SceneSystem, number_names
@@ -153,9 +152,9 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
     system, groups = SceneSystem(scene, "frame", True), []
     speed = scene.speeds(np.linspace(0.0, scene.duration, 33)).max() or None
     for i, own in enumerate(system.state_slices):
-        begin, starts = scene.contacts[i].start(), system.x0[own]
+        starts = system.x0[own]
         # where sigma is zero a law may leave slip out, but time and profile may start elsewhere
-        starts[-2:] = np.subtract(rolled(begin.angle, begin.finger_velocity), begin.object_velocity)
+        starts[-4:] = system.carried(scene.contacts[i].start(), 1.0)
         groups.append([*map(add, contact_groups(scene, i, starts, measured, speed)), len(rows)])
     table = Table(scene, rows, first, groups, arrays, measured)
     for i in range(len(groups)):
