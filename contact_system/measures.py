@@ -252,11 +252,11 @@ def relative_curvature(plan: Plan, t: np.ndarray) -> np.ndarray:
     is NaN at a pole or an umbilic.
     """
     states = plan.states(t, gaps=True)
-    c, s = np.cos(states[..., 8]), np.sin(states[..., 8])
-    turn = np.stack([c, -s, -s, -c], axis=-1).reshape(*c.shape, 2, 2)
+    psi = states[..., 8]
+    turn = np.array(equations.reflection_rows(np.cos(psi), np.sin(psi))).transpose(2, 3, 0, 1)
     relative = np.full_like(turn, np.nan)
     for i, contact in enumerate(plan.scene.contacts):
-        known = np.isfinite(c[:, i])
+        known = np.isfinite(psi[:, i])
         tip = contact.finger.curvature_form(*states[known, i, 0:2].T)
         body = plan.scene.object.curvature_form(*states[known, i, 4:6].T)
         relative[known, i] = equations.relative_curvature(body, tip, turn[known, i])

@@ -15,6 +15,7 @@ from ..errors import ChartSingularity, SceneError
 from ..planning.explanation import SIDES
 from ..scene import Contact, Scene
 from ..surfaces.plane import is_plane
+from ..theory.equations import reflection_rows
 from .goal import Goal
 from .shooting import Array, Follower
 
@@ -209,9 +210,9 @@ class Aim(Steer):
 
 def _pose(psi: float, both: list[tuple[Array, Array]]) -> Array:
     """The finger's pose, (4, 4), where it touches with points and frames of both bodies."""
-    c, s = np.cos(psi), np.sin(psi)
     frames = np.concatenate([(x, *frame.T[:2]) for x, frame in both]).reshape(-1, 1)
-    found = binding.run(binding.POSE, frames, (c, -s, -s, -c))
+    r = np.ravel(reflection_rows(np.cos(psi), np.sin(psi)))
+    found = binding.run(binding.POSE, frames, r)
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = found[:9].reshape(3, 3), found[9:, 0]
     return pose

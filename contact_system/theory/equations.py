@@ -36,9 +36,14 @@ from .geometry import ChartGeometry, rotation, symmetric, upper_inverse
 from .symbols import making_symbols
 
 
+def reflection_rows(cos_psi: Any, sin_psi: Any) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    """Rows of R_psi (eq. ``rotation``), of symbols, numbers or arrays; its own inverse."""
+    return (cos_psi, -sin_psi), (-sin_psi, -cos_psi)
+
+
 def reflection(cos_psi: ca.SX, sin_psi: ca.SX) -> ca.SX:
-    """R_psi (eq. ``rotation``) from the cosine and sine of psi, 2x2; its own inverse."""
-    return ca.vertcat(ca.horzcat(cos_psi, -sin_psi), ca.horzcat(-sin_psi, -cos_psi))
+    """R_psi, 2x2."""
+    return ca.vertcat(*(ca.horzcat(*row) for row in reflection_rows(cos_psi, sin_psi)))
 
 
 def flip() -> ca.SX:
