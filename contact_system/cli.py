@@ -169,7 +169,8 @@ def _explain(args: argparse.Namespace) -> int:
     scene = _scene_of(args)
     with Progress(1, "planning"):
         planned = plan(scene, args.tolerance, args.method)
-    tell(planned.explain(), *_contraction(scene), *_overlaps(planned))
+    lines = (paragraph(line, "    ") for line in planned.explain().splitlines())
+    tell(*lines, *_contraction(scene), *_overlaps(planned))
     return 0
 
 
@@ -308,14 +309,14 @@ def written(
 def _report(laws: Laws) -> Iterable[str]:
     planned = next(iter(laws))
     scene = planned.scene
-    yield f"{scene.name or 'scene'}: {scene.description}".rstrip(": ")
+    yield paragraph(f"{scene.name or 'scene'}: {scene.description}".rstrip(": "))
     yield ""
     if any(r.peak > 0 for found in laws.values() for r in found):
         yield from _slip_table(laws)
         yield paragraph(
-            f"'from': the end of the contact's last disturbance, or the start; 'below "
-            f"{REJECTED:.0%} after': time from then until slip stays below {REJECTED:.0%} of its "
-            "value then, or of its peak where it is zero then."
+            "From: the end of the contact's last disturbance, or the start. Below "
+            f"{REJECTED:.0%}: time from then until slip stays below {REJECTED:.0%} of its value "
+            "then, or of its peak where it is zero then."
         )
         verdict = [paragraph(text) for text in _verdict(laws, scene)]
         yield from ("", *verdict, *_contraction(scene)[not verdict :])
@@ -325,26 +326,27 @@ def _report(laws: Laws) -> Iterable[str]:
 
 
 def _slip_table(laws: Laws) -> Iterable[str]:
-    """Slip of every contact under every law."""
-    head = [("gain", ""), ("contact", "")]
-    head += [("start", "m/s"), ("peak", "m/s"), ("at", "s"), ("end", "m/s")]
-    head += [("from", "s"), (f"below {REJECTED:.0%} after", "s"), ("paper", "s")]
-    head += [("as reported", "")]
-    rows: list[tuple[str, ...]] = []
-    for law, r in ((law, r) for law, found in laws.items() for r in found):
-        names = plots.gain_text(law.scene.gain), law.scene.contact_name(r.contact)
-        start = r.start if r.start > 1e-16 * r.peak else 0.0  # less is rounding
-        slip = f"{start:.3e}", f"{r.peak:.3e}", f"{r.peak_time:.3f}", f"{r.end:.3e}"
-        timing = ("-", "-", "-", "-")
-        if not math.isnan(r.time):
-            taken = f"{r.time:.4f}" if math.isfinite(r.time) else f"> {law.end - r.since:g}"
-            reported = "-" if math.isnan(r.reported) else f"{r.reported:g}"
-            answer = {True: "yes", False: "no", None: "-"}[r.as_reported]
-            timing = f"{r.since:g}", taken, reported, answer
-        rows.append((*names, *slip, *timing))
+    """Slip of every contact, a table for each law."""
+    head = [("contact", ""), ("start", "m/s"), ("peak", "m/s"), ("at", "s"), ("end", "m/s")]
+    head += [("from", "s"), (f"below {REJECTED:.0%}", "s"), ("paper", "s"), ("as reported", "")]
     if not any(r.reported > 0 for found in laws.values() for r in found):  # no paper's scene
-        head, rows = head[:-2], [row[:-2] for row in rows]
-    return table(head, rows, 2)
+        head = head[:-2]
+    for law, found in laws.items():
+        yield f"gain {plots.gain_text(law.scene.gain)}:"
+        rows = [_slip_row(law, r)[: len(head)] for r in found]
+        yield from (*table(head, rows, 1), "")
+
+
+def _slip_row(law: Plan, r: Rejection) -> tuple[str, ...]:
+    start = r.start if r.start > 1e-16 * r.peak else 0.0  # less is rounding
+    slip = f"{start:.3e}", f"{r.peak:.3e}", f"{r.peak_time:.3f}", f"{r.end:.3e}"
+    timing = ("-", "-", "-", "-")
+    if not math.isnan(r.time):
+        taken = f"{r.time:.4f}" if math.isfinite(r.time) else f"> {law.end - r.since:g}"
+        reported = "-" if math.isnan(r.reported) else f"{r.reported:g}"
+        answer = {True: "yes", False: "no", None: "-"}[r.as_reported]
+        timing = f"{r.since:g}", taken, reported, answer
+    return law.scene.contact_name(r.contact), *slip, *timing
 
 
 def _verdict(laws: Laws, scene: Scene) -> Iterable[str]:
@@ -377,7 +379,7 @@ def _great_circles(plan: Plan) -> Iterable[str]:
         if contact.follows and contact.finger.chart.great_circles:
             points = plan.points(plan.sample_times())[:, i, 0]
             distance = float(np.abs(great_circle_distance(points)).max())
-            yield (
+            yield paragraph(
                 f"{plan.scene.contact_name(i)}: its curve stays within {distance:.1e} m of a great "
                 f"circle's plane, {distance / contact.finger.size:.1e} of the radius."
             )

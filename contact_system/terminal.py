@@ -1,4 +1,4 @@
-"""Text for terminals: paragraphs, tables and a progress bar."""
+"""Text for terminals of 80 columns: paragraphs, tables and a progress bar."""
 
 from __future__ import annotations
 
@@ -18,18 +18,20 @@ def tell(*lines: str) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def paragraph(text: str) -> str:
-    """The text in lines of 100 characters."""
-    return textwrap.fill(text, 100, break_on_hyphens=False)
+def paragraph(text: str, indent: str = "") -> str:
+    """The text in lines of 80 characters, which begin with ``indent`` from the second one on."""
+    return textwrap.fill(text, 80, break_on_hyphens=False, subsequent_indent=indent)
 
 
 def table(
     head: Sequence[tuple[str, str]], rows: Sequence[tuple[str, ...]], texts: int
 ) -> Iterable[str]:
-    """Lines of a table under names and units; the first ``texts`` columns are flush left."""
-    names, units = zip(*head)
-    widths = [max(map(len, column)) for column in zip(names, units, *rows)]
-    for row in (names, units, ["-" * w for w in widths], *rows):
+    """Lines of a table under names, a word a line, and units; ``texts`` columns are flush left."""
+    words = [[*name.split(), unit] for name, unit in head]
+    tall = max(map(len, words))
+    heads = list(zip(*([""] * (tall - len(word)) + word for word in words)))
+    widths = [max(map(len, column)) for column in zip(*heads, *rows)]
+    for row in (*heads, ["-" * w for w in widths], *rows):
         cells = [
             f"{c:<{w}}" if k < texts else f"{c:>{w}}" for k, (c, w) in enumerate(zip(row, widths))
         ]

@@ -37,7 +37,7 @@ def register(commands: Any) -> None:
     parser.add_argument("--until", type=float, metavar="T", help=until)
     change = "any key of the scene's [drake] table for this run, such as drake.friction=0.3"
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=change)
-    parser.add_argument("--no-recording", action="store_true", help="write no Meshcat recording")
+    parser.add_argument("--no-recording", action="store_true", help="write no film")
     parser.set_defaults(run=run)
 
 
@@ -90,8 +90,8 @@ def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable
     from .simulation import HandResult
 
     scene, config = result.scene, result.config
-    yield f"{scene.name or 'scene'}: {scene.description}".rstrip(": ")
-    yield (
+    yield paragraph(f"{scene.name or 'scene'}: {scene.description}".rstrip(": "))
+    yield paragraph(
         f"{config.contact_model} contact, step {config.time_step:g} s: "
         f"{result.t[-1] - result.t[0]:g} s simulated in {result.wall_time:.1f} s, "
         f"{(result.t[-1] - result.t[0]) / result.wall_time:.2f} times real time; "
@@ -167,12 +167,12 @@ def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
     return _table(
         ("contact", "", of("name"), "s"),
         ("normal force", "N", of("normal_mean"), ".4f"),
-        ("deviation", "N", of("normal_deviation"), ".4f"),
+        ("normal std", "N", of("normal_deviation"), ".4f"),
         ("off object", "s", of("off"), ".3f"),
         ("peak friction", "N", of("friction_peak"), ".3f"),
         ("over mu N", "", of("friction_ratio"), ".3f"),
         ("in rolling", "N", of("rolling_friction"), ".3f"),
-        ("slip/speed", "", of("rolling_slip"), ".1e"),
+        ("slip over speed", "", of("rolling_slip"), ".1e"),
         ("distance", "mm", 1e3 * np.array(of("distance")), ".3f"),
     )
 
@@ -257,19 +257,20 @@ def _pushes(result: SimulationResult, opened: SimulationResult | None) -> Iterab
     loops = {"closed" if result.config.closed_loop else "open": push_table(result)}
     if opened is not None:
         loops["open"] = push_table(opened)
-    pushes = [report.push for report in next(iter(loops.values()))]
-    if not pushes:
+    rows = [(loop, r) for reports in zip(*loops.values()) for loop, r in zip(loops, reports)]
+    if not rows:
         yield from _explained("No push has begun by the end.")
         return
+    reports = [r for _, r in rows]
     yield from _table(
-        ("push on", "", [push.on for push in pushes], "s"),
-        ("from", "s", [push.start for push in pushes], "g"),
-        ("for", "s", [push.stop - push.start for push in pushes], ".3g"),
-        ("force", "N", [math.hypot(*push.force) for push in pushes], ".3g"),
+        ("push on", "", [r.push.on for r in reports], "s"),
+        ("from", "s", [r.push.start for r in reports], "g"),
+        ("for", "s", [r.push.stop - r.push.start for r in reports], ".3g"),
+        ("force", "N", [math.hypot(*r.push.force) for r in reports], ".3g"),
+        ("loop", "", [loop for loop, _ in rows], "s"),
         *(
-            (f"{name}, {loop}", unit, 1e3 * np.array(_of_each(reports, name)), ".3f")
+            (name, unit, 1e3 * np.array(_of_each(reports, name)), ".3f")
             for name, unit in (("slip", "mm"), ("off", "ms"), ("farthest", "mm"), ("left", "mm"))
-            for loop, reports in loops.items()
         ),
     )
     yield from _explained(

@@ -171,11 +171,10 @@ def test_pushes_are_told_with_the_loop_closed_and_open(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     words = ("--until", 0.6, *POINT, "--no-recording", "--out", tmp_path)
     assert run("D4", *words) == 0
-    out = capsys.readouterr().out
-    line = next(line.split() for line in out.splitlines() if line.split()[:3] == PUSHED)
-    closed, opened = map(float, line[5:7])
-    assert 0 < closed < 0.5 * opened
-    assert (tmp_path / "D4-drake.png").exists()
+    lines = capsys.readouterr().out.splitlines()
+    told = {w[5]: float(w[6]) for line in lines if (w := line.split())[:3] == PUSHED}
+    assert 0 < told["closed"] < 0.5 * told["open"] and (tmp_path / "D4-drake.png").exists()
+    assert max(len(line) for line in lines if not line.startswith("wrote")) <= 80
     assert run("D4", "--until", 0.01, *words[2:]) == 0
     assert "No push has begun by the end" in capsys.readouterr().out
 

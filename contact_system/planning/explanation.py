@@ -67,7 +67,7 @@ _SLIP = {SLIP_LEFT, SLIPS, OFFSET_AND_SLIP, PUSHED, NEGLIGIBLE}
 _REASONS = {
     UNPUSHED: "nothing accelerates it",
     NO_SLIP: "no slip",
-    SLIP_LEFT: "slip has fallen below tolerance at t = {0.start:.6g} s",
+    SLIP_LEFT: "slip is below tolerance",
     SLIPS: "slip",
     NEGLIGIBLE: "slip negligible",
     FOLLOWING: "rolling is imposed",
@@ -82,7 +82,7 @@ def _reason(scene: Scene, contact: int, f: Fact) -> str:
     if f.reason in (OFFSET, OFFSET_AND_SLIP):
         why = _disturbances(scene, contact, f) + ", slip" * (f.reason == OFFSET_AND_SLIP)
     else:
-        why = _REASONS[f.reason].format(f)
+        why = _REASONS[f.reason]
     if f.kind == LINE and f.reason in (SLIPS, OFFSET_AND_SLIP):
         return why + ("; a developable surface" if f.panels else " negligible")
     if f.reason == FOLLOWING and SIDES[f.side] == "finger":
