@@ -79,14 +79,15 @@ def _draw_slip(ax: Any, result: SimulationResult, closed: bool = True) -> None:
     )
     peak = max(slip.max(), planned.max())
     _each(ax, result.t, slip, linewidth=0.9, linestyle="-" if closed else ":")
+    title = "Slip (dotted: loop open)"
     if closed:
         fastest = result.scene.speeds(result.t).max()
         shown = np.where(planned > INTEGRATED * fastest, planned, np.nan)
         _each(ax, result.t, shown, linewidth=1.6, dashes=(2.2, 1.1))
+        title = "Slip, measured" + " (dashed: of the plan)" * bool(np.isfinite(shown).any())
     ax.set_yscale("log")
     if peak > 0:
         ax.set_ylim(1e-5 * peak, 3 * peak)
-    title = "Slip, measured (dashed: of the plan)" if closed else "Slip (dotted: loop open)"
     ax.set(title=title, ylabel="slip [m/s]")
 
 
@@ -210,14 +211,17 @@ def _key(ax: Any, result: SimulationResult) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    entries = contact_keys(result.scene)
+    scene, end = result.scene, result.t[-1]
+    entries = contact_keys(scene)
     label = "measured curve, dots where planned"
     dots = {"marker": "o", "markersize": 2.5, "markerfacecolor": "white", "markeredgewidth": 0}
     entries.append(Line2D([], [], color=INK, linewidth=2.4, label=label, **dots))
-    if result.scene.disturbances or result.config.pushes:
-        label = "disturbance" if result.scene.disturbances else "push"
+    disturbed = any(d.start < end for d in scene.disturbances)
+    if disturbed or any(push.start < end for push in result.config.pushes):
+        label = "disturbance" if disturbed else "push"
         entries.append(Patch(color=DISTURBED, alpha=0.3, label=label))
-    if result.scene.disturbances and "recovery_time" in result.scene.paper:
+    over = max((d.stop for d in scene.disturbances), default=end) < end
+    if over and "recovery_time" in scene.paper:
         entries.append(Patch(color=RECOVERY, alpha=0.2, label="recovery time in the paper"))
     ax.set_axis_off()
     ax.legend(handles=entries, loc="upper left", ncols=2, frameon=False, handlelength=2.2)
