@@ -291,7 +291,7 @@ class SceneSystem:
     def place(self, t: float, starts: Sequence[Any]) -> tuple[Array, Array]:
         """x and held of contacts that start at time t: (n_x,), (n_held,).
 
-        starts : of Start, or, in frame coordinates, a plan's :meth:`Plan.moments`
+        ``starts`` are of `Start`, or, in frame coordinates, a plan's :meth:`Plan.moments`.
 
         Raises
         ------

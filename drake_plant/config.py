@@ -45,13 +45,13 @@ TIPS_ONLY = ("object_rate", "coordinates", "disturbance_input", *RESTARTS)  # th
 class Push:
     """A force on one body for some time.
 
-    Attributes
+    Parameters
     ----------
     on : str
         The contact's name, such as "finger 1", or "object". Write the key as ``"on"`` in YAML,
         which takes the bare word for true.
     start, stop : float
-        s
+        s.
     force : list of float
         Three numbers, N, in the world, at the mass centre.
     """
@@ -108,7 +108,7 @@ class StationConfig:
     With a step of h the driver uses at most 0.4 m/h of what damps and 0.4 m/h^2 of what is a
     stiffness, and of rotations with the least moment of inertia instead of m.
 
-    Attributes
+    Parameters
     ----------
     time_step : float
         Of the plant, s; 0 makes it continuous, for Drake's integrators.
@@ -121,8 +121,10 @@ class StationConfig:
         0.74 at 1.5 ms.
     object : str
         "free"; "welded" to the world; "turning" as the scene prescribes it.
-    object_mass, finger_mass : float
+    object_mass : float
         kg, spread evenly, with the mass centre at the body's origin.
+    finger_mass : float
+        kg, of each finger, in the same way.
     stiffness : float
         N/m, of a contact that carries ``normal_force``.
     friction : float
@@ -143,12 +145,16 @@ class StationConfig:
         Of a balance, how fast it leads the object back to its path, 1/s.
     finger_edge, object_edge : float or None
         m, edges of the meshes at the planned contacts; None: chosen by the size of the patch.
-    position_gain, velocity_gain : float
-        Of the driver, N/m and N s/m, in the tangent plane.
+    position_gain : float
+        Of the driver, N/m, in the tangent plane.
+    velocity_gain : float
+        N s/m, there.
     normal_damping : float
         N s/m, along the normal; contact itself is elastic.
-    rotation_gain, spin_gain : float
-        N m and N m s.
+    rotation_gain : float
+        N m.
+    spin_gain : float
+        N m s.
     slip_gain : float
         lam of the slip that is measured, 1/s; 0 leaves the loop open. At most 0.8/h is used, which
         takes away so much of the slip in a step.

@@ -63,11 +63,11 @@ class Recording:
 
     Examples
     --------
-    ::
+    Before builder.Build() and after the simulation:
 
         film = Recording()
-        film.Add(builder, scene_plant)      # before builder.Build()
-        simulator.AdvanceTo(1.0)
+        film.Add(builder, scene_plant)
+
         film.Save("film.html")
     """
 

@@ -43,7 +43,7 @@ def export_fmu(
         and (experimental) wasm32 those wanted, for which ziglang is needed, once.
     arrays : bool
         FMI 3: vectors and matrices instead of scalars with FMI 2's names.
-    measured : "nothing", "states" or "pose"
+    measured : "nothing" or "states" or "pose"
         What there are inputs of, from which a contact goes on: states as of `Plan.states`, or the
         finger's pose and twist relative to the object. Co-Simulation only.
     progress : callable, optional

@@ -160,8 +160,11 @@ class PlannerSlave3(_Slave, FMU3Slave):
 
     Parameters
     ----------
-    scene, name, logger, described
-        As for `PlannerSlave2`.
+    scene : Scene
+    name : str
+        As for `PlannerSlave2`; so are logger and described.
+    logger : callable, optional
+    described
     event_mode : bool
         The importer handles events: steps tell of the edges of disturbance windows.
     early_return : bool

@@ -120,7 +120,7 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
     scene : Scene
     arrays : bool
         Whether FMI 3 sees vectors and matrices instead of scalars.
-    measured : "nothing", "states" or "pose"
+    measured : "nothing" or "states" or "pose"
         Of what there are inputs, from which a trigger lets contacts go on: states, or the finger's
         pose and twist relative to the object.
 

@@ -79,20 +79,22 @@ class Contact:
     ----------
     finger : Surface
         The finger (body 1).
-    object_at, finger_at : (float, float)
-        Chart coordinates (u, v) of the contact on the object and on the finger (rad, or the
-        chart's own units; ``math.radians(120)`` for 120 degrees). A scene brings them into the
-        chart's regular range, without whole turns, which states of a plan may have: (-1.57, 2.44)
-        on a sphere, where f_u x f_v points inward, becomes the same point with an outward normal,
-        and velocities are taken in the frame there. The chart of a triaxial ellipsoid covers it
-        twice: on it velocities, angle and disturbances are turned together with the frame.
+    object_at : (float, float)
+        Chart coordinates (u, v) of the contact on the object (rad, or the chart's own units;
+        ``math.radians(120)`` for 120 degrees). A scene brings them into the chart's regular range,
+        without whole turns, which states of a plan may have: (-1.57, 2.44) on a sphere, where
+        f_u x f_v points inward, becomes the same point with an outward normal, and velocities are
+        taken in the frame there. The chart of a triaxial ellipsoid covers it twice: on it
+        velocities, angle and disturbances are turned together with the frame.
+    finger_at : (float, float)
+        The same on the finger.
     angle : float
         psi at t = 0, the contact angle between the two frames [rad].
     finger_velocity : (float, float) or "rolling"
         M1 dq1/ds in the finger's frame E1, dimensionless: its length times sigma is the speed of
         the contact point on the finger, m/s. "rolling": rolling is imposed, and the finger's curve
         follows from the object's (eq. `corollary`).
-    object_velocity : (float, float), "rolling" or "rest"
+    object_velocity : (float, float) or "rolling" or "rest"
         M2 dq2/ds in the object's frame E2, dimensionless. "rolling": no slip at the start;
         "rest": the contact point on the object starts at rest, so the finger slides.
     name : str

@@ -30,12 +30,12 @@ class Geodesic:
     Attributes
     ----------
     surface : Surface
-    length : float or array (...)
+    length : float or (...)
         m.
-    direction : float or array (...)
+    direction : float or (...)
         Angle at a, from the x axis of the contact frame towards its y axis, rad; NaN where there
         is no contact frame.
-    tangent : array (..., 3)
+    tangent : (..., 3)
         Unit tangent at a, in space.
     """
 
@@ -90,7 +90,7 @@ def geodesic(surface: Surface, a: ArrayLike, b: ArrayLike) -> Geodesic:
     Parameters
     ----------
     surface : Surface
-    a, b : array-like (..., 2) or (..., 3)
+    a, b : (..., 2) or (..., 3)
         Chart coordinates (u, v), or points in space, m. Many pairs at once take less time each.
 
     Returns
@@ -119,7 +119,8 @@ def geodesics(
 
     Parameters
     ----------
-    surface, a, b
+    surface : Surface
+    a, b : (2,) or (3,)
         As for `geodesic`, of one pair.
     most : int
         Greatest number of geodesics. A continuum of them, as between the poles of a sphere, counts

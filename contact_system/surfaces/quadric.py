@@ -106,9 +106,9 @@ class Quadric(SecondDegree):
 
     Parameters
     ----------
-    A : array-like (3, 3)
+    A : (3, 3)
         Symmetric, 1/m^2; at least one positive eigenvalue.
-    sheet : {1, -1}
+    sheet : 1 or -1
         The sheet on the positive or the negative side of the first principal axis, of a two-sheeted
         hyperboloid, a hyperbolic cylinder or two planes.
     inside : bool

@@ -316,8 +316,10 @@ class ImplicitSurface(UserSurface):
     center : three floats
         A point inside the body (with ``inside=True``, in the hollow) from which the whole surface
         is visible, m. Where it is not visible, chart components are refused.
-    parameters, size, formula
-        As for `ParametricSurface`.
+    parameters : mapping of str to float
+        As for `ParametricSurface`; so are size, m, and formula.
+    size : float
+    formula : Formula, optional
     inside : bool
         The body is where F > 0; v is then the azimuth the other way around.
 

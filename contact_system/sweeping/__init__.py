@@ -117,8 +117,10 @@ def sweep(
     ahead : int, optional
         Number of chunks at work or waiting for a worker; default: twice this machine's cores. For a
         cluster, give at least twice its workers.
-    tolerance, compiled
+    tolerance : float
         As in :func:`plan`.
+    compiled : bool or None
+        Ignored, as in :func:`plan`.
 
     Returns
     -------
