@@ -155,11 +155,11 @@ def look_at(meshcat: Meshcat, scene: Scene, points: Array | None = None) -> Arra
 
 
 def disturbances(result: SimulationResult) -> list[tuple[int, float, float]]:
-    """What disturbs: a body's number in `body_names`, and from when to when, s."""
+    """What disturbs in the run: a body's number in `body_names`, and from when to when, s."""
     planned, names = plan(result.scene), body_names(result.scene)
     found = [(i, *w) for i in range(len(result.scene.contacts)) for w in windows(planned, i)]
-    pushes = result.config.pushes
-    return found + [(names.index(push.on), push.start, push.stop) for push in pushes]
+    found += [(names.index(push.on), push.start, push.stop) for push in result.config.pushes]
+    return [event for event in found if event[1] < result.t[-1]]
 
 
 def draw(meshcat: Meshcat, result: SimulationResult) -> None:
@@ -188,7 +188,8 @@ def draw(meshcat: Meshcat, result: SimulationResult) -> None:
         recording.SetProperty(0, path, "visible", False)
         for _, start, stop in sorted(event for event in acting if event[0] == on):
             recording.SetProperty(recording.frame(start), path, "visible", True)
-            recording.SetProperty(recording.frame(stop), path, "visible", False)
+            if stop < result.t[-1]:  # a film ends at its last property
+                recording.SetProperty(recording.frame(stop), path, "visible", False)
     if result.config.hand is not None:  # up is up
         meshcat.SetCameraPose(HAND_VIEW, [0.0, 0.0, -0.6 * scene.object.size])
         return
