@@ -9,7 +9,7 @@ from math import degrees, radians
 import contact_system as cs
 from contact_system.plots import plot_curves
 
-contact = cs.Contact(cs.Sphere(0.04), object_at=(1.0, 1.5))
+contact = cs.Contact(cs.Sphere(0.06), object_at=(1.0, 1.5))
 scene = cs.Scene(
     name="turned by 40 degrees",
     object=cs.Ellipsoid(0.3, 0.2, 0.1),

@@ -9,7 +9,8 @@ import numpy as np
 
 import contact_system as cs
 
-figure = plt.figure(figsize=(10, 4))
+figure = plt.figure(figsize=(10, 4.2))
+figure.subplots_adjust(left=0, bottom=0, right=1, top=0.93, wspace=0)
 
 
 def show(number, surface, extent, lines, title):
@@ -20,7 +21,7 @@ def show(number, surface, extent, lines, title):
     for line in lines:
         axes.plot(*line.T)
     axes.set_title(title)
-    axes.set_box_aspect(extent, zoom=1.4)
+    axes.set_box_aspect(extent, zoom=1.55)
     axes.set_axis_off()
     axes.view_init(35, -35)
 
