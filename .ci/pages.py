@@ -49,7 +49,8 @@ def _gallery() -> str:
             f"\n{program}\n"
         )
     grid = f'<div class="grid cards" markdown>\n\n{"".join(cards)}\n</div>'
-    return "\n\n".join(["# Gallery", grid, *sections])
+    opening = "Each example is one short program; a picture leads to it."
+    return "\n\n".join(["# Gallery", opening, grid, *sections])
 
 
 def on_page_markdown(markdown, page, config, files):
@@ -76,8 +77,9 @@ def on_page_markdown(markdown, page, config, files):
 
 
 def on_page_content(html, page, config, files):
-    """Leave out the roles and directives of Sphinx that docstrings have."""
-    return re.sub(r":(func|attr|meth|class|mod):(?=<code>)|<p>\.\. pydrake_system::</p>", "", html)
+    """Leave out the roles and directives of Sphinx in docstrings; let pictures show their files."""
+    html = re.sub(r":(func|attr|meth|class|mod):(?=<code>)|<p>\.\. pydrake_system::</p>", "", html)
+    return re.sub(r'(?<=<p>)(<img [^>]*src="([^"]+)"[^>]*>)(?=</p>)', r'<a href="\2">\1</a>', html)
 
 
 def on_post_build(config):
