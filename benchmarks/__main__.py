@@ -28,7 +28,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run what was asked for; returns the exit code."""
     for name in THREADS:  # before numpy is imported: one thread for every competitor
         os.environ[name] = "1"
-    parser = argparse.ArgumentParser("python -m benchmarks", description=__doc__)
+    text = __doc__.partition("\n\n")[2]  # argparse writes the usage itself
+    parser = argparse.ArgumentParser("python -m benchmarks", description=text)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--only", metavar="SECTION", default="", help="sections that contain it")
