@@ -66,7 +66,7 @@ def balancing_forces(
         What the contacts shall exert on the object together, N and N m about the frame's origin:
         mass times acceleration less its weight (see :func:`needed_wrench`).
     margin : float
-        Part of each friction cone that may be used, 1 or less.
+        Part of each friction cone that may be used, 1 or less; default 0.8.
     least : (n,) or float
         Least normal forces, N.
     t : (m,), optional

@@ -151,9 +151,9 @@ class ContactPlanner(_Convertible, LeafSystem):
         m, 0 or more.
     tolerance : float
         In a simulation contact points may be so far off the exact plan, per metre of path and of
-        the greater body's size. No plan is known, and nothing compared, while the disturbance
-        port is not zero, or where a simulation begins at a rest or a pole other than the scene's
-        start; after a disturbance the plan is that from the state which it left.
+        the greater body's size; default 1.5e-6. No plan is known, and nothing compared, while the
+        disturbance port is not zero, or where a simulation begins at a rest or a pole other than
+        the scene's start; after a disturbance the plan is that from the state which it left.
 
     Raises
     ------

@@ -63,11 +63,11 @@ def check_depth(scene: Scene, config: StationConfig) -> None:
 def rolling_scene(scene: Scene, config: StationConfig) -> Scene:
     """The scene with bodies as large as they roll once the configuration presses them together.
 
-    A compliant finger gives way to a rigid object, so it rolls on a surface by the depth inside its
-    own; two equal point contacts share the depth. (That the patch is curved does not matter: what
-    the object's surface drops towards the rim the tilt of friction there makes up for, see
-    `contact_monitor`.) Of spheres, cylinders and tori that surface is another of their kind, and so
-    it is nearly of ellipsoids; of others it is their equation, shifted along the normal.
+    A compliant finger gives way to a rigid object by the depth of the contact, so it rolls on a
+    surface that lies deeper by that much; two equal point contacts share the depth. (The curvature
+    of the patch does not matter: see `contact_monitor`.) Of spheres, cylinders and tori that
+    surface is another of their kind, and nearly so of ellipsoids; of others it is their equation,
+    shifted along the normal.
 
     Raises
     ------
