@@ -38,7 +38,7 @@ def on_files(files, config):
 def _gallery() -> str:
     """A card for each example, and below its text, its picture and its program."""
     cards, sections = [], []
-    for path in sorted((ROOT / "examples").glob("*.py")):
+    for path in sorted((ROOT / "examples").glob("*.py"), key=lambda p: (p.stat().st_size, p.name)):
         code = path.read_text("utf-8")
         title, text = ast.get_docstring(ast.parse(code)).split("\n\n", 1)
         picture = f"![{title}](gallery/{path.stem}.png)"
@@ -49,7 +49,7 @@ def _gallery() -> str:
             f"\n{program}\n"
         )
     grid = f'<div class="grid cards" markdown>\n\n{"".join(cards)}\n</div>'
-    opening = "Each example is one short program; a picture leads to it."
+    opening = "Each example is one program, the shortest first; a picture leads to it."
     return "\n\n".join(["# Gallery", opening, grid, *sections])
 
 
