@@ -24,7 +24,7 @@ from contact_system.scene import Scene
 
 from .archive import generation_time
 from .build import SOURCES
-from .quantities import Variable, unit_name
+from .quantities import Unit, Variable, unit_name
 from .variables import Table
 
 HERE, VERSIONS = Path(__file__).parent, ("2.0", "3.0")
@@ -147,13 +147,19 @@ def _interface(table: Table, fmi_version: str, interface: str) -> ET.Element:
     return element
 
 
+def _units(unit: Unit) -> dict[str, str]:
+    """FMI Library takes the unit to display from a type only if a variable repeats no unit: each
+    says both."""
+    name = unit_name(unit)
+    return {"unit": name, **({"displayUnit": name.replace("rad", "deg")} if unit[2] == 1 else {})}
+
+
 def _unit_definitions(table: Table) -> ET.Element:
     element = ET.Element("UnitDefinitions")
     for unit in sorted({row.unit for row in table.rows if row.unit is not None}):
         own = ET.SubElement(element, "Unit", name=unit_name(unit))
         ET.SubElement(own, "BaseUnit", {k: str(x) for k, x in zip(("m", "s", "rad"), unit) if x})
-        if unit[2] == 1:
-            name = unit_name(unit).replace("rad", "deg")
+        if name := _units(unit).get("displayUnit"):
             ET.SubElement(own, "DisplayUnit", name=name, factor=_number(math.degrees(1.0)))
     return element
 
@@ -175,9 +181,7 @@ def _type_definitions(table: Table, fmi_version: str) -> ET.Element:
     used = {v.unit for v in table.rows}
     for unit in sorted(unit for unit in QUANTITIES if unit in used):
         name = QUANTITIES[unit]
-        said = {"quantity": name, "unit": unit_name(unit)}
-        if unit[2]:
-            said["displayUnit"] = unit_name(unit).replace("rad", "deg")
+        said = {"quantity": name, **_units(unit)}
         if fmi_version == "2.0":
             ET.SubElement(ET.SubElement(element, "SimpleType", name=name), "Real", said)
         else:
@@ -200,7 +204,7 @@ def _variable(variable: Variable, fmi_version: str, exchange: bool) -> ET.Elemen
         common["initial"] = variable.initial
     numeric = {
         "declaredType": QUANTITIES.get(variable.unit) if variable.unit else None,
-        "unit": None if variable.unit is None else unit_name(variable.unit),
+        **(_units(variable.unit) if variable.unit else {}),
         "min": None if variable.minimum is None else _number(variable.minimum),
         "nominal": None if variable.nominal is None else _number(variable.nominal),
         "start": " ".join(map(_number, variable.start)) or None,

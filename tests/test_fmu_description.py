@@ -52,12 +52,10 @@ def test_units_follow_the_chart_and_are_made_of_base_units(version, written):
     units = {u.name: u.baseUnit for u in read.unitDefinitions}
     assert (units["rad/s2"].rad, units["rad/s2"].s) == (1, -2)
     assert (units["m/s2"].m, units["m/s2"].s) == (1, -2)
-    found = {
-        v.name: v.unit or (v.declaredType and v.declaredType.unit) for v in read.modelVariables
-    }
-    assert found["der(contact[1].object.v)"] == "m/s"  # of a cylinder
-    assert found["contact[1].object.acceleration.u"] == "rad/s2"
-    assert found["contact[1].twist.angular.x"] == "rad/s"
+    found = {v.name: (v.unit, v.displayUnit) for v in read.modelVariables}
+    assert found["der(contact[1].object.v)"] == ("m/s", None)  # of a cylinder
+    assert found["contact[1].object.acceleration.u"] == ("rad/s2", "deg/s2")
+    assert found["contact[1].twist.angular.x"] == ("rad/s", "deg/s")
     assert variable_table(K1)["gain.eta"].unit == (-2, 1, 0)  # s/m2, m s rad
 
 
