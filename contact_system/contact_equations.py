@@ -158,8 +158,9 @@ def _frame_motion(
     rates = []
     for b, f, velocity in zip((tip, body), states, velocities):
         rates.append(b.call("motion", velocity))
-        if b.ambient:  # drift off the surface dies out along a path of the body's size
-            rates[-1] += sigma / b.size * (b.place - f)
+        if b.ambient:  # drift off the surface dies out along a path of its radius of curvature
+            curvature = ca.sqrt(ca.sumsqr(b.call("shape")) / 2 + TINY)
+            rates[-1] += sigma * curvature * (b.place - f)
     if form.forced:
         pushed = tip.call("vector", w[:2]), body.call("vector", w[2:4])
         w1_rate, v_rate = pushed_paths(ca.fmax(sigma, TINY), flip(), *pushed)
