@@ -7,7 +7,6 @@ import math
 import numpy as np
 from pydrake.common import MemoryFile
 from pydrake.geometry import InMemoryMesh, Mesh, Rgba
-from scipy.spatial import cKDTree
 
 from contact_system.errors import SurfaceError
 from contact_system.surfaces import ImplicitSurface, Surface, Torus
@@ -16,6 +15,9 @@ from .meshes import Array, Domain, SurfaceMesh, Triangles, edges_of, refined
 
 FINER = 2  # halvings of the triangles that are painted in one of two shades
 SHADE = 0.65  # brightness of the darker one
+# Where inner points around a ring are, in steps and of its thickness: with a grid's edges in one
+# plane the tetrahedra between them would be flat, which Drake refuses.
+AHEAD, RAISED = math.sqrt(2) - 1, 0.01
 
 
 def rigid_mesh(mesh: SurfaceMesh) -> Mesh:
@@ -28,9 +30,9 @@ def rigid_mesh(mesh: SurfaceMesh) -> Mesh:
 def inner_points(surface: Surface) -> Array:
     """Where depth below a fingertip's surface is measured to: its centre, or a ring, (k, 3), m."""
     if isinstance(surface, Torus):
-        around = np.linspace(0, 2 * math.pi, 64, endpoint=False)
-        circle = np.stack([np.cos(around), np.sin(around), 0 * around], axis=1)
-        return surface.major * circle
+        around = (np.arange(64) + AHEAD) * math.pi / 32
+        x, y = surface.major * np.stack([np.cos(around), np.sin(around)])
+        return np.stack([x, y, np.full(64, RAISED * surface.minor)], axis=1)
     return np.array([surface.center if isinstance(surface, ImplicitSurface) else (0.0, 0.0, 0.0)])
 
 
@@ -98,18 +100,15 @@ def _tetrahedra(points: Array, triangles: Triangles, inner: Array, name: str) ->
 
 
 def _apexes(points: Array, triangles: Triangles, inner: Array) -> Triangles:
-    """The inner point below each triangle: nearest to the edge that runs along the ring most.
+    """The inner point nearest in angle about z to the middle of what each triangle spans.
 
-    Both triangles of such an edge get the same. Were they different, the wedge between them would
-    be flat: the edge is parallel to the ring.
+    So both triangles of an edge that runs along the ring get the same.
     """
-    corner, near = points[triangles], cKDTree(inner)
-    edge = np.roll(corner, -1, axis=1) - corner
-    below = near.query(corner.mean(axis=1))[1]
-    along = np.roll(inner, -1, axis=0)[below] - np.roll(inner, 1, axis=0)[below]
-    longest = np.argmax(np.abs(np.einsum("tki,ti->tk", edge, along)), axis=1)
-    middle = corner + edge / 2
-    return near.query(middle[np.arange(len(triangles)), longest])[1]
+    x, y, _ = points[triangles].T
+    angle = np.arctan2(y, x)
+    spans = (angle - angle[0] + math.pi) % (2 * math.pi) - math.pi
+    middle = angle[0] + (spans.min(axis=0) + spans.max(axis=0)) / 2
+    return np.rint(middle * len(inner) / (2 * math.pi) - AHEAD).astype(int) % len(inner)
 
 
 def rgba(colour: str, alpha: float = 1.0) -> Rgba:

@@ -147,7 +147,7 @@ def test_one_newton_at_a_fifth_of_a_millimetre_on_every_kind_of_object(name):
     [
         (cs.Ellipsoid(0.06, 0.05, 0.04), (0.3, 0.4)),
         (cs.Cylinder(0.04), (0.3, 0.0)),
-        (cs.Torus(0.05, 0.02), (0.3, -0.2)),
+        (cs.Torus(0.1, 0.04), (0.3, -0.2)),
         (
             cs.ImplicitSurface(
                 "(x/r)**4 + (y/r)**4 + (z/r)**4 - 1", parameters={"r": 0.04}, size=0.04
