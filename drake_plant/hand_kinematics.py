@@ -63,7 +63,7 @@ def add_hand(plant: MultibodyPlant, hand: Hand, scene: Scene, tips: list[RigidBo
         kind = "url" if "://" in str(hand.model) else "file_name"
         try:
             instances = parser.AddModels(**{kind: hand.model})
-        except RuntimeError as error:
+        except (RuntimeError, ValueError) as error:
             lacks = kind == "file_name" and not Path(hand.model).is_file()
             why = f"there is no such file, as seen from '{Path.cwd()}'" if lacks else error
             raise SceneError(
