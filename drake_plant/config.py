@@ -105,7 +105,7 @@ class StationConfig:
     Drake's ``yaml_load_typed`` and ``yaml_dump_typed`` read and write it; a scene's ``[drake]``
     table and ``contact-system drake --set drake.KEY=VALUE`` have the same keys.
 
-    With a step of h the driver uses at most 0.4 m/h of what damps and 0.4 m/h^2 of what is a
+    With a step of h the driver uses at most 0.4 m/h of what damps and 0.1 m/h^2 of what is a
     stiffness, and of rotations with the least moment of inertia instead of m.
 
     Parameters

@@ -27,7 +27,7 @@ from .lifetimes import NO_DICTIONARY, weakly
 from .planner_base import MOTION
 from .plant import MOTIONS, ScenePlant, declare_plant_inputs, gravity_on
 from .scratch import FingerTables, PerThread
-from .tip_law import POINT, SHARE, driving_law, tip_constants
+from .tip_law import POINT, STIFF, driving_law, tip_constants
 
 ROUNDING = 1e-9
 """Of a time that is a sum of steps."""
@@ -203,12 +203,12 @@ def _check(parts: ScenePlant) -> None:
                 f"{center.tolist()} m in its frame; forces are made for one at the origin, which "
                 "is that of the finger's surface: give the body such an inertia"
             )
-        borne = SHARE * mass / step**2 if step else math.inf
+        borne = STIFF * mass / step**2 if step else math.inf
         needed = config.normal_force / (contact.finger.size + scene.object.size)
         if borne < needed:
             raise SceneError(
                 f"{scene.title}, contact {i}: time_step = {step!r}: a finger of "
                 f"{mass:g} kg can be held with {borne:.3g} N/m, and pressing with "
                 f"{config.normal_force:g} N needs {needed:.3g} N/m; give at most "
-                f"{math.sqrt(SHARE * mass / needed):.2g} s, or a heavier finger"
+                f"{math.sqrt(STIFF * mass / needed):.2g} s, or a heavier finger"
             )

@@ -33,9 +33,10 @@ from .planner_base import MOTION
 from .plant import ScenePlant, gravity_on
 from .scratch import named, slices
 
-SHARE = 0.4
+SHARE, STIFF = 0.4, 0.1
 """Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
-may take over h; a damper's d and a spring's s are stable where 0 < d and s + 2 d < 4."""
+may take over h; a damper's d and a spring's s are stable where 0 < d and s + 2 d < 4. The object
+moves, too: one as light as its fingers turns with them, and a spring of 0.4 shakes both."""
 
 SLIP_SHARE = 0.8
 """Of slip what may be taken away in a step: more would turn it over where friction helps."""
@@ -132,9 +133,9 @@ def tip_constants(body: RigidBody, parts: ScenePlant, hold: float) -> list[float
     inertia = body.default_spatial_inertia().CalcRotationalInertia().CopyToFullMatrix3()
     least = float(np.linalg.eigvalsh(inertia)[0])
 
-    # of each gain, what it moves and to which power the step divides what is borne
-    moved = ((mass, 2), (mass, 1), (mass, 1), (least, 2), (least, 1))
-    borne = [SHARE * inert / h**order if h else math.inf for inert, order in moved]
+    # of each gain, what it moves, how much is borne, and to which power the step divides that
+    moved = (mass, STIFF, 2), *[(mass, SHARE, 1)] * 2, (least, STIFF, 2), (least, SHARE, 1)
+    borne = [share * inert / h**order if h else math.inf for inert, share, order in moved]
     gains = [min(getattr(config, name), most) for name, most in zip(GAINS, borne)]
     gains.append(min(config.slip_gain, SLIP_SHARE / h if h else math.inf))
     return [h, mass, *inertia.ravel(), *gravity_on(parts.plant, body), *gains, hold]

@@ -314,7 +314,7 @@ def two_spheres():
     "changes",
     [
         {"object": "welded"},
-        {"finger_mass": 1e-3},
+        {"finger_mass": 1e-3, "object_mass": 2e-4, "normal_force": 0.01},
         {"time_step": 5e-3, "normal_force": 5.0},
         {"position_gain": 1e6, "velocity_gain": 1e5, "normal_damping": 1e5, "spin_gain": 1e3},
     ],
