@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 from ..errors import SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
-from .base import OfLengths, Surface
+from .base import OfLengths
 from .charts import (
     TINY,
     TURN,
@@ -184,21 +184,8 @@ class ProlateChart(PolarChart):
         return self.p[1] * abs(math.sin(u))  # h_v = b |sin u|, h_u >= b
 
 
-class SecondDegree(Surface):
-    """The surface x^T A x = 1; subclasses define its chart."""
-
-    def _matrix(self, p: ca.SX) -> ca.SX:
-        """Return A, (3, 3), 1/m^2."""
-        raise NotImplementedError
-
-    def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        matrix = self._matrix(p)
-        gradient = matrix @ x
-        return (ca.dot(x, gradient) - 1) / 2, gradient, matrix
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class Ellipsoid(OfLengths, SecondDegree):
+class Ellipsoid(OfLengths):
     """Ellipsoid with semi-axes a >= b >= c along x, y, z; Jacobi's chart, eq. ``ellipsoid``.
 
     With equal axes the chart is the regular limit of Jacobi's: `OblateChart` (a = b),
@@ -245,9 +232,11 @@ class Ellipsoid(OfLengths, SecondDegree):
         # pi over the root of the greatest Gaussian curvature (Klingenberg)
         return math.pi * self.b * self.c / self.a
 
-    def _matrix(self, p: ca.SX) -> ca.SX:
+    def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         axes = (p[self.parameters.index(axis)] for axis in (self.a, self.b, self.c))
-        return ca.diag(ca.vertcat(*(1 / axis**2 for axis in axes)))
+        hessian = ca.diag(ca.vertcat(*(1 / axis**2 for axis in axes)))
+        gradient = hessian @ x
+        return (ca.dot(x, gradient) - 1) / 2, gradient, hessian
 
 
 def require_thick(kind: str, a: float, c: float) -> None:

@@ -12,11 +12,13 @@ from ..checks import Array, shaped_array
 from ..errors import SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
-from .base import store
+from .base import Surface, store
 from .charts import TURN, Chart, Pair
 from .cylinder import RoundCylinderChart
-from .ellipsoid import SecondDegree, ellipsoid_chart, require_thick
+from .ellipsoid import ellipsoid_chart, require_thick
 from .plane import FlatChart
+
+Floats = tuple[float, ...]
 
 
 class OneSheetChart(Chart):
@@ -90,12 +92,10 @@ CHARTS: dict[str, type[Chart]] = {
 """By the signs of the eigenvalues; ellipsoids and equal axes have other charts."""
 IN_TWO = (TwoSheetChart, HyperbolicCylinderChart, OffsetPlaneChart)
 """Charts of surfaces in two pieces; each covers one of them."""
-CYLINDERS = (RoundCylinderChart, EllipticCylinderChart, HyperbolicCylinderChart)
-"""Charts of surfaces with an eigenvalue 0, whose axis is the third."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Quadric(SecondDegree):
+class Quadric(Surface):
     """x^T A x = 1 for a symmetric A of any signature that gives a smooth surface.
 
     An ellipsoid in any orientation (charts of `Ellipsoid`), hyperboloids of one and two sheets,
@@ -107,7 +107,8 @@ class Quadric(SecondDegree):
     Parameters
     ----------
     A : (3, 3)
-        Symmetric, 1/m^2; at least one positive eigenvalue.
+        Symmetric, 1/m^2; at least one positive eigenvalue. A body with turned axes that is more
+        than a hundred times as wide as it is thick needs a greater tolerance of plans.
     sheet : 1 or -1
         The sheet on the positive or the negative side of the first principal axis, of a two-sheeted
         hyperboloid, a hyperbolic cylinder or two planes.
@@ -139,13 +140,13 @@ class Quadric(SecondDegree):
             )
 
     @kept
-    def _principal(self) -> tuple[type[Chart], tuple[float, ...], Array]:
-        """Chart, its numbers, and the rotation from chart axes to the body's, (3, 3)."""
-        chart, numbers, rotation = _principal_chart(np.array(self.A))
+    def _principal(self) -> tuple[type[Chart], Floats, Floats, Array]:
+        """Chart, its numbers, the eigenvalues, and the rotation from chart axes to the body's."""
+        chart, numbers, values, rotation = _principal_chart(np.array(self.A))
         if self.sheet == -1:
             # half a turn about the third axis maps one sheet to the other
             rotation = rotation * np.array([-1.0, -1.0, 1.0])
-        return chart, numbers, rotation
+        return chart, numbers, values, rotation
 
     @property
     def chart(self) -> type[Chart]:
@@ -153,10 +154,9 @@ class Quadric(SecondDegree):
 
     @kept
     def parameters(self) -> tuple[float, ...]:
-        """Three numbers of the chart (padded), nine of the rotation, row by row, six of A."""
-        _, numbers, rotation = self._principal
-        upper = np.array(self.A)[np.triu_indices(3)]
-        return (*(*numbers, 1.0, 1.0)[:3], *rotation.ravel().tolist(), *upper.tolist())
+        """Three numbers of the chart (padded), nine of the rotation by rows, three eigenvalues."""
+        _, numbers, values, rotation = self._principal
+        return (*(*numbers, 1.0, 1.0)[:3], *rotation.ravel().tolist(), *values)
 
     @property
     def size(self) -> float:
@@ -178,15 +178,12 @@ class Quadric(SecondDegree):
         return ca.reshape(p[3:12], 3, 3).T
 
     def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        if self.chart in CYLINDERS:
-            # A maps the part of x along the axis to rounding only, which grows with that part
-            axis = self._axes(p)[:, 2]
-            x = x - ca.dot(axis, x) * axis
-        return super().level_geometry(p, x)
-
-    def _matrix(self, p: ca.SX) -> ca.SX:
-        xx, xy, xz, yy, yz, zz = ca.vertsplit(p[12:18])
-        return ca.reshape(ca.vertcat(xx, xy, xz, xy, yy, yz, xz, yz, zz), 3, 3)
+        # along the principal axes: terms of A x would cancel far out on the long ones
+        axes, values = self._axes(p), p[12:15]
+        along = axes.T @ x
+        slopes = values * along
+        hessian = axes @ ca.diag(values) @ axes.T
+        return (ca.dot(along, slopes) - 1) / 2, axes @ slopes, hessian
 
 
 def _symmetric(value: Any) -> Array:
@@ -200,8 +197,8 @@ def _symmetric(value: Any) -> Array:
     return (matrix + matrix.T) / 2
 
 
-def _principal_chart(matrix: Array) -> tuple[type[Chart], tuple[float, ...], Array]:
-    """Return chart, its numbers and a proper rotation, columns the chart's axes in the body."""
+def _principal_chart(matrix: Array) -> tuple[type[Chart], Floats, Floats, Array]:
+    """Return chart, numbers, eigenvalues and a proper rotation, columns the chart's axes."""
     diagonal = np.diag(matrix)
     given = not np.any(matrix - np.diag(diagonal))  # exactly
     values, vectors = (diagonal, np.eye(3)) if given else np.linalg.eigh(matrix)
@@ -225,7 +222,8 @@ def _principal_chart(matrix: Array) -> tuple[type[Chart], tuple[float, ...], Arr
     axes, rotation = axes[order], vectors[:, order]
     if np.linalg.det(rotation) < 0:
         rotation = rotation * np.array([1.0, 1.0, -1.0])
-    lengths = tuple(_merge_equal(axes, case)[: len(case.rstrip("0"))].tolist())
+    axes = _merge_equal(axes, case)
+    lengths = tuple(axes[: len(case.rstrip("0"))].tolist())
     chart: type[Chart]
     if case == "+++":
         require_thick("Quadric", lengths[0], lengths[2])
@@ -236,7 +234,7 @@ def _principal_chart(matrix: Array) -> tuple[type[Chart], tuple[float, ...], Arr
         chart = CHARTS[case]
     if chart.great_circles:  # eigenvectors of a sphere are arbitrary
         rotation = np.eye(3)
-    return chart, lengths, rotation
+    return chart, lengths, tuple((np.sign(values[order]) / axes**2).tolist()), rotation
 
 
 def _merge_equal(axes: Array, case: str) -> Array:
