@@ -329,4 +329,5 @@ class _Search:
         one, other = self.aim.bodies
         balls = one.chart.great_circles and other.chart.great_circles
         near = abs(one.size - other.size) <= part * other.size
-        return (balls and near) or (one.chart.developable and other.chart.developable)
+        flat = one.chart.lengths[1] and other.chart.lengths[1]  # planes, and all cylinders
+        return (balls and near) or flat
