@@ -297,8 +297,7 @@ def test_turned_quadric_is_right_hundreds_of_sizes_along_a_cylinder_and_on_a_thi
     turn = np.array([[2, -1, 2], [2, 2, -1], [-1, 2, 2]]) / 3
     for values, sigma in (([100, 40, 0], (0.0, 3.2, -0.4)), ([100, 200, 1e6], (0.02,))):
         bodies = cs.Quadric(turn * values @ turn.T), cs.Quadric(np.diag(values))
-        plans = [cs.plan(alone(body, (0.4, 0.1), sigma, 8.0)) for body in bodies]
-        found, truth = (plan.states(range(9))[:, 0, 4:6] for plan in plans)
+        found, truth = (cs.plan(alone(b, (0.4, 0.1), sigma, 8.0)).states(8.0) for b in bodies)
         assert found == pytest.approx(truth, abs=1e-11)
 
 
@@ -335,11 +334,7 @@ RESTING_SOON = (2.442754781845688, -0.3257006375794251, 0.010856687919314168)
 
 @pytest.mark.parametrize(
     "obj",
-    [
-        cs.Torus(3.0, 1.0),
-        cs.Ellipsoid(3.0, 2.0, 1.0),
-        cs.ParametricSurface(("u", "v", "0.1*cos(u)*cos(v)")),
-    ],
+    [cs.Torus(3, 1), cs.Ellipsoid(3, 2, 1), cs.ParametricSurface(("u", "v", "0.1*cos(u)*cos(v)"))],
 )
 def test_a_window_may_end_where_rounding_sees_the_path_rest_an_instant_later(obj):
     edge, (rest,) = 15.0, cs.Profile(RESTING_SOON).extrema(0.0, 30.0)
@@ -466,7 +461,7 @@ def test_a_pole_beside_an_end_of_the_path_is_seen_and_one_beyond_it_is_not(u, me
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])
 def test_rates_that_jump_between_nodes_are_seen(tolerance):
-    """An offset along e_u turns over at a pole; the curvature of a chart with `fmax` jumps."""
+    """An offset along e_u turns over at a pole; the curvature of surfaces with `fmax` jumps."""
     push = [cs.ObjectRateOffset(0, 0.1, 0.9, (0.1, 0.0))]
     edge = cs.ParametricSurface(("u", "v", "0.5*u + 2*fmax(u, 0)**2"), size=0.1)
     length = lambda s: (s * np.hypot(1, s) + np.arcsinh(s)) / 8  # noqa: E731
@@ -480,6 +475,10 @@ def test_rates_that_jump_between_nodes_are_seen(tolerance):
         x = cs.plan(along, tolerance).points(1.0)[0, 0, 1, 0]
         gone = length(0.5 + 4 * x) - length(0.5) - begin * np.hypot(1, 0.5)
         assert gone == pytest.approx(0.22, abs=0.1 * tolerance)
+    box = cs.ImplicitSurface(lambda x: sum(np.fmax(abs(x[i]) - 1, 0) ** 2 for i in range(3)) - 1)
+    over = alone(box, (1.2, 1.9), (10.0,), finger=cs.Plane(), finger_at=(0, 0), angle=-0.9)
+    found, truth = (cs.plan(over, error).points(1.0) for error in (tolerance, 1e-14))
+    assert found == pytest.approx(truth, abs=tolerance)
 
 
 @pytest.mark.filterwarnings("error")

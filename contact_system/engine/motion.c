@@ -352,15 +352,16 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
 }
 
 /* Whether rates may jump: where what disturbs in chart components meets a pole, of the finger as
-   well, or where a user's chart has a kink */
+   well, or where a user's surface, whose panels have a greatest length, has a kink */
 static int may_jump(const motion_t *m) {
   const track_t *k = m->track;
   if (!k->body) return 0;
   if (m->finger && m->finger->ambient && any(m->finger->push)) return 1;
-  return k->ambient ? any(k->offset) || any(k->push) : k->body->surface->may_be_singular;
+  return k->body->reach < HUGE_VAL || (k->ambient && (any(k->offset) || any(k->push)));
 }
 
-/* Whether a panel's series fall like 1/k^2 or 1/k^3: rates, or their slopes, jump between nodes */
+/* Whether a panel's series fall like 1/k^2 or 1/k^3: rates, or their slopes, jump between nodes.
+   Coefficients of 1e-15 may be rounding. */
 static int has_kink(const motion_t *m, const double *series) {
   double middle = 0.0, last = 0.0;
   for (int64_t r = 0; r < m->n; r++) {
@@ -368,7 +369,7 @@ static int has_kink(const motion_t *m, const double *series) {
     middle += (fabs(o[L / 2]) + fabs(o[L / 2 - 1])) * m->scale[r];
     last += (fabs(o[L]) + fabs(o[L - 1])) * m->scale[r];
   }
-  return last > 0.005 * middle;
+  return last > fmax(0.005 * middle, 1e-15);
 }
 
 /* The error by a jump of the rates, f at the nodes, between an end of a panel and the node next to
