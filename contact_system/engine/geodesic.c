@@ -139,7 +139,7 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
     for (int i = 0; i < L; i++)
       if (!g->lost[i]) worst = error[i] <= worst ? worst : error[i]; /* NaN stays */
     fresh = worst <= 1.0;
-    const double ratio = 0.9 * pow(fmax(worst, 1e-30), -1.0 / 8);
+    const double ratio = 0.9 * pow(worst < 1e-30 ? 1e-30 : worst, -1.0 / 8); /* NaN stays */
     if (!fresh) {
       h *= ratio > 0.2 ? ratio : 0.2;
       if (h > LEAST_STEP) continue;
