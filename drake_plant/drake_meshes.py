@@ -94,7 +94,8 @@ def _tetrahedra(points: Array, triangles: Triangles, inner: Array, name: str) ->
     if np.any(volume[: len(triangles)] >= 0):
         raise SurfaceError(
             f"{name}: a triangle of its mesh faces away from the inner point below it, so that no "
-            "solid can be built; put the surface's centre where it sees the whole surface"
+            "solid can be built; put the surface's centre where it sees the whole surface, and "
+            "near the contacts"
         )
     return np.where((volume < 0)[:, None], cell[:, [0, 2, 1, 3]], cell)
 
