@@ -234,9 +234,17 @@ class Ellipsoid(OfLengths):
 
     def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         axes = (p[self.parameters.index(axis)] for axis in (self.a, self.b, self.c))
-        hessian = ca.diag(ca.vertcat(*(1 / axis**2 for axis in axes)))
-        gradient = hessian @ x
-        return (ca.dot(x, gradient) - 1) / 2, gradient, hessian
+        return second_degree(ca.vertcat(*(1 / axis**2 for axis in axes)), self._axes(p), x)
+
+
+def second_degree(values: ca.SX, axes: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """`Surface.level_geometry` of x^T A x = 1, with A = axes diag(values) axes^T.
+
+    Along the principal axes, as terms of A x would cancel far out on the long ones.
+    """
+    along = axes.T @ x
+    slopes = values * along
+    return (ca.dot(along, slopes) - 1) / 2, axes @ slopes, axes @ ca.diag(values) @ axes.T
 
 
 def require_thick(kind: str, a: float, c: float) -> None:

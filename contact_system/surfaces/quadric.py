@@ -15,7 +15,7 @@ from ..theory import symbols as ca
 from .base import Surface, store
 from .charts import TURN, Chart, Pair
 from .cylinder import RoundCylinderChart
-from .ellipsoid import ellipsoid_chart, require_thick
+from .ellipsoid import ellipsoid_chart, require_thick, second_degree
 from .plane import FlatChart
 
 Floats = tuple[float, ...]
@@ -178,12 +178,7 @@ class Quadric(Surface):
         return ca.reshape(p[3:12], 3, 3).T
 
     def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        # along the principal axes: terms of A x would cancel far out on the long ones
-        axes, values = self._axes(p), p[12:15]
-        along = axes.T @ x
-        slopes = values * along
-        hessian = axes @ ca.diag(values) @ axes.T
-        return (ca.dot(along, slopes) - 1) / 2, axes @ slopes, hessian
+        return second_degree(p[12:15], self._axes(p), x)
 
 
 def _symmetric(value: Any) -> Array:
