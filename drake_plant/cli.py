@@ -156,6 +156,9 @@ def _happened(result: SimulationResult, reports: Sequence[ContactReport]) -> Ite
     for r in reports:
         if r.off:
             yield f"{r.name} was off the object for {r.off:.3g} s."
+        if r.astray:
+            yield f"{r.name} is astray: up to {r.distance:.3g} m from where it is planned,"
+            yield f"on a path of {r.path:.3g} m."
     if slips := [r for r in reports if r.plan_slips]:
         time, most = (max(getattr(r, key) for r in slips) for key in ("plan_slips", "planned_slip"))
         yield f"The plan itself slips at {', '.join(r.name for r in slips)}, for {time:.3g} s and"

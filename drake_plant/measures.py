@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from contact_system import Scene, plan
 from contact_system.checks import Array, of_kind
 from contact_system.measures import REJECTED, windows
+from contact_system.scene.legs import length
 
 from .config import Push, body_names
 from .contact_monitor import SATURATED
@@ -26,6 +27,7 @@ ROLLS = 1e-2  # of sigma, below which planned slip counts as rolling
 # A contact slides if slip is above so many times that before any disturbance, and so many m/s.
 SLIDING, CREEPING = 10.0, 1e-3
 CARRIED = 0.95  # part of its weight that carries an object
+ASTRAY = 0.5  # of its path's length, how far a contact is off that does not follow the plan
 LATELY, MOMENT = 0.5, 0.01  # s before the end that are judged, and in which a speed is measured
 
 
@@ -78,6 +80,8 @@ class ContactReport:
     distance : float
         Greatest distance of the measured contact point from the one planned at first on the object
         before any disturbance [m].
+    path : float
+        Length of the whole scene's path [m].
     """
 
     name: str
@@ -100,6 +104,7 @@ class ContactReport:
     followed: float = math.nan
     reported: float = math.nan
     distance: float
+    path: float
 
     @property
     def disturbed(self) -> bool:
@@ -107,16 +112,25 @@ class ContactReport:
         return not math.isnan(self.disturbed_slip)
 
     @property
+    def astray(self) -> bool:
+        """Whether `distance` is more than half of `path`, as where bodies touch along almost a
+        line, or at a second place."""
+        return 0 < ASTRAY * self.path < self.distance
+
+    @property
     def verdict(self) -> str:
         """In a word or two.
 
-        "came off" the object, or "not kept" where another contact did or the object falls; else
-        "undisturbed", or "pushed", where no disturbance is over by the end; "held", by friction
-        alone; "rejected" or "not rejected" where no time is reported, else "as reported", "not as
-        reported", or "still recovering" where slip is followed for less than that time.
+        "came off" the object, or "not kept" where another contact did or the object falls; "astray"
+        where it does not follow the plan before any disturbance; else "undisturbed", or "pushed",
+        where no disturbance is over by the end; "held", by friction alone; "rejected" or "not
+        rejected" where no time is reported, else "as reported", "not as reported", or "still
+        recovering" where slip is followed for less than that time.
         """
         if not self.kept:
             return "came off" if self.off else "not kept"
+        if self.astray:
+            return "astray"
         if not self.disturbed:
             return "pushed" if self.pushed else "undisturbed"
         if not self.slid:
@@ -297,9 +311,12 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
         found = _rolling(result, i, early, steady)
         found |= _rejection(result, i, own, acting[:, 0], found["slip_before"])
         name = result.scene.contact_name(i)
+        path = length(result.scene.way(i), result.scene.duration)
         pushed = any(p.on in (name, "object") and p.start < t[-1] for p in result.config.pushes)
         reports.append(
-            ContactReport(name=name, off=float(off[i]), kept=kept, pushed=pushed, **found)
+            ContactReport(
+                name=name, off=float(off[i]), kept=kept, pushed=pushed, path=path, **found
+            )
         )
     return reports
 

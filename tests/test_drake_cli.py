@@ -125,6 +125,13 @@ def test_time_off_the_object_is_that_of_all_steps_that_end_there():
 # --- what happened -------------------------------------------------------------------------------
 
 
+def test_a_contact_that_does_not_follow_the_plan_is_astray():
+    contact = cs.Contact(cs.Cylinder(0.02), object_at=(0, 0), finger_at=(0, 0), angle=0.05)
+    obj, profile = cs.Cylinder(0.1), cs.Profile([0.05])
+    scene = cs.Scene(object=obj, contacts=[contact], duration=0.12, profile=profile)
+    assert contact_table(simulate(scene))[0].verdict == "astray"
+
+
 @pytest.mark.parametrize(
     ("changes", "verdict", "words"),
     [
