@@ -7,7 +7,7 @@
    two of them coordinates move by less than half a period. */
 
 enum { U, V, DU, DV, THETA, N_COORDINATES };
-enum { PANEL_ANCHORS = 4, CIRCLE_ANCHORS = 16 }; /* a panel, a revolution */
+enum { PANEL_ANCHORS = 4, CIRCLE_ANCHORS = 15 }; /* a panel; a revolution, L with its end */
 
 /* u v u' v' theta in principal values at places x of a path, in the variable of its panels or the
    phase of its circle; rates are none */

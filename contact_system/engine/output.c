@@ -408,7 +408,7 @@ static void anchor_side(work_t *w, contact_t *c, int side, int64_t n) {
   for (int64_t i = 0; i < n; i++) {
     track_t *k = c->tracks[side] + i;
     if (k->ambient && !k->n_anchors) anchor_track(w, k, place);
-    if (i + 1 < c->n_tracks[side]) {
+    if (i + 1 < n) {
       double found[3];
       if (!place_on_track(w, c, k, k->stop, found)) memcpy(place, found, sizeof place);
     }
