@@ -5,6 +5,7 @@ matplotlib is imported when the first picture is drawn; no display is needed.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -211,7 +212,7 @@ def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
     ax.set_xlabel("time [s]")
     ax.ticklabel_format(axis="x", scilimits=(-2, 4))  # longer numbers run into each other
     if not slip.any():
-        _draw_sigma(ax, plan)
+        _draw_speed(ax, plan)
         return
     ax.set_yscale("log")
     # show at least 3 decades, and at most DECADES, below the peak
@@ -252,14 +253,15 @@ def shade_windows(ax: Any, plan: Plan) -> None:
         ax.axvspan(end, end + wanted, color=RECOVERY, alpha=0.16, linewidth=0)
 
 
-def _draw_sigma(ax: Any, plan: Plan) -> None:
+def _draw_speed(ax: Any, plan: Plan) -> None:
     """What there is to see without slip."""
-    t = plan.sample_times()
-    for way in {plan.scene.way(i) for i in range(len(plan.scene.contacts))}:
-        ax.plot(t, speed(way, t), color=INK, linewidth=1.8)
+    t, scene = plan.sample_times(), plan.scene
+    paces = [math.hypot(*contact.start().finger_velocity) for contact in scene.contacts]
+    for way, pace in {(scene.way(i), pace) for i, pace in enumerate(paces)}:
+        ax.plot(t, pace * speed(way, t), color=INK, linewidth=1.8)
     ax.set_ylim(bottom=0.0)
-    ax.set_ylabel(r"path speed $\sigma$ [m/s]")
-    ax.set_title("No slip at any contact")
+    ax.set_ylabel("speed of the contact point [m/s]")
+    ax.set_title("No slip at any contact" if any(paces) else "Every contact rests")
 
 
 def _draw_object(ax: Any, plan: Plan) -> None:
