@@ -244,28 +244,23 @@ class ContactPlanner(_Convertible, LeafSystem):
     def _Begin(self, context: Any) -> None:
         """From now on contacts are compared with the plan from the state that a Context has."""
         own, system = self._Load(context, ("derivatives",)), self.system
-        t = own.t[0]
-        first, now = (system.scene.speeds(time) for time in (0.0, t))
-        if system.coordinates == "chart" and (first != now).any() and (own.x == system.x0).all():
+        t, scene = own.t[0], system.scene
+        as_at_0 = (*own.x, *own.held) == (*system.x0, *system.held0)
+
+        def made_for(time: float) -> Array:
+            if system.coordinates == "chart":
+                return scene.speeds(time)
+            return np.hstack([system.leg_numbers(i, time) for i in range(len(scene.contacts))])
+
+        if as_at_0 and (made_for(t) != made_for(0.0)).any():
             raise SceneError(
-                f"{system.scene.title}: the simulation begins at t = {t:g} s, where sigma is "
-                f"{now.max():g} m/s, with the state of t = 0 s, where it is {first.max():g}: set "
-                "the time to 0, which SetDefaultContext leaves alone, or the state of its start by "
-                'SceneSystem.from_states, or give coordinates="frame"'
+                f"{scene.title}: the simulation begins at t = {t:g} s with the state of t = 0 s: "
+                "set the time to 0, which SetDefaultContext leaves alone, or the state of its "
+                "start by SceneSystem.from_states, or give a PlanSource"
             )
-        times = t, max(0.0, math.nextafter(t, -math.inf))  # at a corner it is turned hereafter
-        for i, held in enumerate(system.held_slices):
-            legs = [system.leg_numbers(i, time) for time in times]
-            own_leg = own.held[held.stop - len(legs[0]) : held.stop]
-            if not any((leg == own_leg).all() for leg in legs):
-                raise SceneError(
-                    f"{system.scene.title}, contact {i}: the simulation begins at t = {t:g} s with "
-                    "the state of another leg: set time and state of one moment, such as 0 and "
-                    "that of SetDefaultContext, which leaves the time alone, or give a PlanSource"
-                )
         self._begun(context)[2:4] = t
-        starts = (t, *own.x, *own.held) == (0.0, *system.x0, *system.held0)
-        self._Follow(context, None if starts else self._Parts(context, "state")[0])
+        state = None if t == 0.0 and as_at_0 else self._Parts(context, "state")[0]
+        self._Follow(context, state)
 
     def _Follow(self, context: Any, state: Array | None) -> None:
         """Compare from now on with the plan from this state, or with that of the scene."""

@@ -596,11 +596,10 @@ def test_a_chart_near_its_pole_is_refused_with_the_remedy(options):
 
 
 def test_a_later_start_wants_the_state_of_that_time():
-    for name, words in (("R1", "the state of another leg: set"), ("K4", "where sigma is 0.355")):
-        scene = cs.load_scene(name)
+    for scene in map(cs.load_scene, ("R1", "K4")):
         late = Simulator(ContactPlanner(scene))
         late.get_mutable_context().SetTime(1.5)
-        with pytest.raises(cs.SceneError, match=f"t = 1.5 s(,| with) {words}"):
+        with pytest.raises(cs.SceneError, match="t = 1.5 s with the state of t = 0 s: set"):
             late.Initialize()
     state, _ = cs.SceneSystem(scene).from_states(1.5, cs.plan(scene).states(1.5)[0])
     late.get_mutable_context().SetContinuousState(state)
