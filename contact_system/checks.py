@@ -213,7 +213,6 @@ def rigid_motion(
     what: str,
     noise: float,
     error: type[ContactSystemError] = SceneError,
-    meaning: str = "X_OF, the finger's frame in the object's",
 ) -> np.ndarray:
     """The pose (4, 4); raises the error if it is no rigid motion, such as a transposed matrix."""
     rotation, last = pose[:3, :3], pose[3] - [0, 0, 0, 1]
@@ -221,7 +220,7 @@ def rigid_motion(
     if not (off <= noise and np.linalg.det(rotation) > 0 and np.isfinite(pose).all()):
         raise error(
             f"{what} = {pose.tolist()} is no rotation and translation over the last row 0, 0, 0, "
-            f"1; give {meaning}"
+            "1; give X_OF, the finger's frame in the object's"
         )
     return pose
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from contact_system import Ellipsoid, Goal, Scene, SceneError, Sphere, reach
 from contact_system import plan as make_plan
-from contact_system.checks import Array, naming, of_kind, rigid_motion, shaped_array
+from contact_system.checks import Array, naming, of_kind
 from contact_system.contact_sensor import FOUND, NORMAL, ON_FINGER, ON_OBJECT, SLIP, STATES
 
 from .balance import balancing_forces, friction_used, needed_wrench
@@ -34,7 +34,6 @@ ACCURATE = 1e-7  # error of a step, in units of the joints
 DEEPER = 1e-3  # part by which forces exceed the least where bodies roll on other radii
 FREE = 6  # joints of a finger that leave the pose of its tip free
 LEG_NODES = 33  # least times of a plan on legs, which are four at most
-SKEW = 1e-9  # that a rotation matrix may have
 BEGIN, END = 0.1, 0.75  # of the duration, when the object begins to move, and rests
 
 
@@ -138,7 +137,7 @@ def goal_of(config: StationConfig) -> RigidTransform:
 def plan_reorientation(
     hand: Hand,
     scene: Scene,
-    X_WO_goal: RigidTransform | RotationMatrix | Array | None = None,
+    X_WO_goal: RigidTransform | None = None,
     path: Any = None,
     config: StationConfig | None = None,
 ) -> Reorientation:
@@ -152,7 +151,7 @@ def plan_reorientation(
     scene : Scene
         Its contacts are where fingers touch at the start; of a ``finger_at`` only the place counts,
         as the middle of the pad. Its ``[drake]`` table tells masses, friction and gravity.
-    X_WO_goal : RigidTransform, RotationMatrix or (4, 4), optional
+    X_WO_goal : RigidTransform, optional
         None: where the table's `turn` and `move` lead.
     path : PiecewisePose, optional
         X_WO, or what answers to its names; None: the shortest path, from rest to rest. Before and
@@ -181,7 +180,8 @@ def plan_reorientation(
         if not config.friction:
             raise SceneError(f"friction = {config.friction!r}: a hand holds by friction; give more")
         if path is None:
-            goal = goal_of(config) if X_WO_goal is None else _pose(X_WO_goal)
+            goal = goal_of(config) if X_WO_goal is None else X_WO_goal
+            of_kind(RigidTransform, goal, "X_WO_goal", "a RigidTransform")
             begin, end = BEGIN * scene.duration, END * scene.duration
             path = ShortestPath(RigidTransform(), goal, begin, end)
         elif not 0 <= path.start_time() < path.end_time() <= scene.duration:
@@ -196,14 +196,6 @@ def plan_reorientation(
             deeper = dataclasses.replace(config, normal_force=mean)
             plan = _planned(scene, deeper, path, inertia, config.normal_force)
         return plan
-
-
-def _pose(X_WO_goal: Any) -> RigidTransform:
-    """The goal as Drake has it, who takes any matrix for one."""
-    if isinstance(X_WO_goal, (RigidTransform, RotationMatrix)):
-        X_WO_goal = RigidTransform(X_WO_goal).GetAsMatrix4()
-    X = shaped_array(X_WO_goal, "X_WO_goal", (4, 4))
-    return RigidTransform(rigid_motion(X, "X_WO_goal", SKEW, meaning="where the object is to be"))
 
 
 def _rolled(chains: Chains, path: Any) -> tuple[Array, Array, Array]:
