@@ -86,42 +86,33 @@ def balancing_forces(
         other shapes, numbers that are not finite, normals that are no unit vectors, a margin
         that is not in 0 to 1.
     """
-    points = shaped_array(points, "points")
+    points = shaped_array(points, "points", finite=True)
     if points.ndim != 3 or points.shape[2] != 3:
         raise SceneError(f"points has shape {points.shape}; give (times, contacts, 3)")
-    normals, (times, count, _) = shaped_array(normals, "normals", points.shape), points.shape
+    times, count, _ = points.shape
+    normals = shaped_array(normals, "normals", points.shape)
     force, torque = (
-        shaped_array(given, name, (times, 3))
+        shaped_array(given, name, (times, 3), finite=True)
         for name, given in (("force", force), ("torque", torque))
     )
     if finite_number(margin, "margin", "not below 0") > 1:
         raise SceneError(f"margin = {margin!r}: give a part of the friction cones, at most 1")
     for name, given in (("friction", friction), ("least", least)):
-        if (read := shaped_array(given, name)).shape not in ((), (count,)):
+        if shaped_array(given, name, finite=True).shape not in ((), (count,)):
             raise SceneError(f"{name} = {given!r}: give a number, or one for each contact")
-        if read.min() < 0:
-            raise SceneError(f"{name} = {given!r}: contacts would pull; give 0 or more")
     if not (np.abs(np.linalg.norm(normals, axis=-1) - 1) < UNIT).all():
         raise SceneError("normals: give vectors of length 1")
-    wanted = np.hstack([force, torque])
-    # Sizes of about 1: about the contacts' middle, over their distance from it and over the forces.
-    middle = points.mean(axis=1)
-    wanted[:, 3:] -= np.cross(middle, wanted[:, :3])
-    arms = points - middle[:, None]
-    length = np.abs(arms).max() or np.abs(points).max() or 1.0
-    wanted[:, 3:] /= length
+    # in sizes of about 1
+    length = np.abs(points).max() or 1.0
+    wanted = np.hstack([force, torque / length])
     floor = np.broadcast_to(least, count)
     size = max(np.abs(wanted).max(), np.max(floor)) or 1.0
     cones = margin * np.broadcast_to(friction, count).astype(float)
-    problem = arms / length, normals, wanted / size, cones, floor / size
-    if not all(np.isfinite(x).all() for x in problem):  # Drake would end the process
-        raise SceneError("contact forces: give finite numbers")
-    forces, left = _solve(*problem)
+    forces, left = _solve(points / length, normals, wanted / size, cones, floor / size)
     if left is not None and strict:
         most = np.abs(left).max(axis=1)
         k = int(np.argmax(most >= min(LEFT, most.max())))
         acts = -left[k]
-        acts[3:] += np.cross(middle[k] / length, acts[:3])  # about the origin
         acts[np.abs(acts) < LEFT * np.abs(acts).max()] = 0.0
         acts *= size * np.repeat([1.0, length], 3)
         when = "" if t is None else f"t = {np.ravel(t)[k]:.6g} s: "
