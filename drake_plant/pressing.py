@@ -201,14 +201,10 @@ def touches_of(scene: Scene) -> list[Touch]:
         at, bodies = points[:, i].swapaxes(0, 1), (contact.finger, scene.object)
         normals = contact.finger.normal(*contact.finger.coordinates(at[0]))
         places = uv[known, i].T.reshape(2, 2, -1)
-        bends = [_mean_curvature(body, *place) for body, place in zip(bodies, places)]
+        forms = [body.curvature_form(*place) for body, place in zip(bodies, places)]
+        bends = [float(np.trace(form, axis1=1, axis2=2).mean() / 2) for form in forms]
         touches.append(Touch(at, normals, bends, np.sqrt(np.linalg.det(relative))))
     return touches
-
-
-def _mean_curvature(surface: Surface, u: Array, v: Array) -> float:
-    """The mean over points, (m,) each, of half the trace of K, 1/m."""
-    return float(np.trace(surface.curvature_form(u, v), axis1=1, axis2=2).mean() / 2)
 
 
 def _check_apart(scene: Scene, times: Array, poses: Array) -> None:
