@@ -34,6 +34,7 @@ from .scratch import slices
 
 MARGIN = 0.8
 """Of a friction cone, so that facets and feedback leave what is measured below 90 %."""
+RATE = 30.0  # 1/s, at which an object is led back to its place
 KNOTS = 51  # times at which a plan is balanced before it is simulated
 UNIT = 1e-6  # how far from 1 a normal's length may be
 LEFT = 1e-3  # part of a wrench that counts as not balanced, where something has to be left
@@ -255,7 +256,7 @@ class ForceBalancer(LeafSystem):
     The first two inputs are a planner's, so that a planner that restarts from measured states moves
     them with the contacts; the others are the plant's. `contact_forces` (3n) are forces on the
     object in the world, N, by :func:`balancing_forces`: of what carries the object and leads it
-    back to its place, critically damped at the configuration's ``object_rate``. The place is the
+    back to its place, critically damped at 30 1/s. The place is the
     Context's only parameter, a RigidTransform, by default the object's default pose. Where the
     cones cannot hold that, as in a push, they are those that leave the least of it. `normal_force`
     (n) and `friction_used` (n) are their normal parts, N, and the parts of the cones they use.
@@ -263,7 +264,7 @@ class ForceBalancer(LeafSystem):
     Parameters
     ----------
     scene_plant : ScenePlant
-        Its object is free; its configuration says friction, which part of it is used, and the rate.
+        Its object is free; its configuration says friction, and which part of it is used.
     least : float
         Least normal force, N.
     """
@@ -296,9 +297,8 @@ class ForceBalancer(LeafSystem):
         X_WO = self._poses.Eval(context)[self._index]
         V_WO = self._velocities.Eval(context)[self._index].get_coeffs()
         R_WO, config = X_WO.rotation().matrix(), self._config
-        rate, X_WP = config.object_rate, context.get_abstract_parameter(0).get_value()
-        # back to the object's place
-        A_WO = rate * (rate * way_to(X_WP, X_WO) - 2 * V_WO)
+        X_WP = context.get_abstract_parameter(0).get_value()
+        A_WO = RATE * (RATE * way_to(X_WP, X_WO) - 2 * V_WO)
         force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], V_WO, A_WO)
         points = self._points.Eval(context).reshape(1, -1, 6)[..., 3:]
         normals = -self._normals.Eval(context).reshape(1, -1, 3)

@@ -34,11 +34,11 @@ CHOICES = {
     "forces": ("constant", "balance"),
 }
 EDGES = ("finger_edge", "object_edge")
-GAINS = ("position_gain", "velocity_gain", "normal_damping", "rotation_gain", "spin_gain")
+GAINS = ("position_gain", "velocity_gain", "normal_damping", "spin_gain")
 RESTARTS = ("restart_period", "restart_distance")
 MAY_BE_0 = {"time_step", "friction", "gravity", *GAINS, "slip_gain", "restart_distance"}
 HANDS_ONLY = ("turn", "move")
-TIPS_ONLY = ("object_rate", "coordinates", "disturbance_input", *RESTARTS)  # that are free
+TIPS_ONLY = ("coordinates", "disturbance_input", *RESTARTS)  # that are free
 
 
 @dataclass
@@ -141,8 +141,6 @@ class StationConfig:
         None: "balance" where the object is free and there is gravity, else "constant".
     friction_share : float
         Of a balance, the part of each friction cone that it uses at most, 1 or less.
-    object_rate : float
-        Of a balance, how fast it leads the object back to its path, 1/s.
     finger_edge, object_edge : float or None
         m, edges of the meshes at the planned contacts; None: chosen by the size of the patch.
     position_gain : float
@@ -151,8 +149,6 @@ class StationConfig:
         N s/m, there.
     normal_damping : float
         N s/m, along the normal; contact itself is elastic.
-    rotation_gain : float
-        N m.
     spin_gain : float
         N m s.
     slip_gain : float
@@ -191,13 +187,11 @@ class StationConfig:
     gravity: float = 0.0
     forces: str | None = None
     friction_share: float = 0.8
-    object_rate: float = 30.0
     finger_edge: float | None = None
     object_edge: float | None = None
     position_gain: float = 400.0
     velocity_gain: float = 60.0
     normal_damping: float = 30.0
-    rotation_gain: float = 0.0
     spin_gain: float = 0.04
     slip_gain: float = 0.0
     coordinates: str | None = None

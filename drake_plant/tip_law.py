@@ -1,7 +1,7 @@
 r"""The law at a fingertip, free or on joints: the wrench that moves it as wanted.
 
 About the tip's origin it is what mass and inertia need for the wanted motion, the contact force at
-the contact point, tracking of place and turn, and an acceleration of -lam times the slip that is
+the contact point, tracking of place and spin, and an acceleration of -lam times the slip that is
 really there, which is the paper's own term.
 
 Free tips and tips on joints differ in what is wanted, and in ``hold``. A free tip follows the
@@ -118,12 +118,9 @@ def _force(x: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
 
 
 def _torque(x: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
-    """Feed-forward, the contact force through the contact point, tracking of turn and spin."""
+    """Feed-forward, the contact force through the contact point, damping of spin."""
     inertia, w = x.R_WF @ ca.reshape(c.inertia, 3, 3) @ x.R_WF.T, x.w_WT
-    off = x.R_WT @ x.R_WF.T
-    axis = 0.5 * ca.vertcat(off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1])
-    torque = inertia @ x.alpha_WT + ca.cross(w, inertia @ w)
-    torque += c.spin_gain * (w - x.w_WF) + c.rotation_gain * axis
+    torque = inertia @ x.alpha_WT + ca.cross(w, inertia @ w) + c.spin_gain * (w - x.w_WF)
     return torque + ca.cross(x.arm, x.contact_force)
 
 
@@ -134,7 +131,7 @@ def tip_constants(body: RigidBody, parts: ScenePlant, hold: float) -> list[float
     least = float(np.linalg.eigvalsh(inertia)[0])
 
     # of each gain, what it moves, how much is borne, and to which power the step divides that
-    moved = (mass, STIFF, 2), *[(mass, SHARE, 1)] * 2, (least, STIFF, 2), (least, SHARE, 1)
+    moved = (mass, STIFF, 2), *[(mass, SHARE, 1)] * 2, (least, SHARE, 1)
     borne = [share * inert / h**order if h else math.inf for inert, share, order in moved]
     gains = [min(getattr(config, name), most) for name, most in zip(GAINS, borne)]
     gains.append(min(config.slip_gain, SLIP_SHARE / h if h else math.inf))
