@@ -22,8 +22,8 @@ from pydrake.multibody.meshcat import ContactVisualizer, ContactVisualizerParams
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
-from contact_system import Scene, SceneError, plan
-from contact_system.checks import Array, a_path, finite_number
+from contact_system import Scene, plan
+from contact_system.checks import Array, a_path
 from contact_system.measures import windows
 from contact_system.plots.style import DISTURBED, INK, colour_of
 from contact_system.writing import writing
@@ -35,6 +35,7 @@ from .plant import ScenePlant, model_names
 if TYPE_CHECKING:
     from .simulation import SimulationResult
 
+FRAMES = 64.0  # a second
 FILM = "/drake/film"
 BODIES, FORCES = f"{FILM}/bodies", f"{FILM}/forces"
 LIFT = 0.02  # of the finger's size, of lines over surfaces whose facets would hide them
@@ -56,34 +57,31 @@ ARROW = 2.5  # length of the arrow of the normal force, in sizes of the largest 
 class Recording:
     """Records a simulation with Meshcat: bodies, contact points and contact forces.
 
+    There are 64 pictures a second of simulated time, each at a step of a discrete plant.
+
     Parameters
     ----------
-    frames : float
-        Pictures a second of simulated time; each is taken at a step of a discrete plant.
+    builder : DiagramBuilder
+        Visualizers are added to it.
+    scene_plant : ScenePlant
 
     Examples
     --------
     Before builder.Build() and after the simulation:
 
-        film = Recording()
-        film.Add(builder, scene_plant)
+        film = Recording(builder, scene_plant)
 
         film.Save("film.html")
     """
 
-    def __init__(self, frames: float = 64.0):
-        self._period = 1.0 / finite_number(frames, "frames", "above 0")
+    def __init__(self, builder: DiagramBuilder, scene_plant: ScenePlant):
         log = logging.getLogger("drake")
         level = log.level
         log.setLevel(logging.WARNING)  # nobody needs to know the address it listens at
-        self._meshcat = Meshcat()
+        self._meshcat = meshcat = Meshcat()
         log.setLevel(level)
-        self._visualizer: MeshcatVisualizer | None = None
-
-    def Add(self, builder: DiagramBuilder, scene_plant: ScenePlant) -> None:
-        """Add visualizers of the illustration geometry and of contacts."""
-        meshcat, scene, ink = self._meshcat, scene_plant.scene, rgba(INK)
-        step, period = scene_plant.plant.time_step(), self._period
+        scene, ink = scene_plant.scene, rgba(INK)
+        step, period = scene_plant.plant.time_step(), 1.0 / FRAMES
         if step:  # a picture between two steps would cut the planner's steps
             period = step * max(1, round(period / step))
         params = MeshcatVisualizerParams(
@@ -123,8 +121,6 @@ class Recording:
             disturbs while it does, and names; and the camera travels with the finger that is
             disturbed.
         """
-        if self._visualizer is None:
-            raise SceneError(f"nothing to save in {path}: call Add before the Diagram is built")
         self._visualizer.StopRecording()
         # Drake draws a patch's force on the object, which hides it: turn it to that on the finger.
         for name in self._fingers:

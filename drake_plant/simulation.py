@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import Context, Diagram, EventStatus
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 from scipy.interpolate import make_interp_spline
 
 from contact_system import ContactSystemError, Scene, SceneError, plan
@@ -32,7 +32,7 @@ from .plant import ScenePlant
 from .recording import Recording
 from .reorientation import Reorientation, plan_reorientation
 from .scratch import slices
-from .station import BuildHandStation, SetInitialState, build
+from .station import SetInitialState, build, build_hand
 
 PLANNED = slices({name: PORTS[name] for name in ("state", "slip", "contact_point")})
 BALANCED = ("normal_force", "friction_used")
@@ -212,7 +212,7 @@ def simulate_hand(
     """Simulate a plan from its start: see :func:`simulate`."""
     of_kind(Reorientation, plan, "plan", "a Reorientation")
     duration = _lasting(plan.scene, plan.config, duration)
-    run = Run(plan.scene, partial(BuildHandStation, plan), recording)
+    run = Run(plan.scene, partial(build_hand, plan), recording)
     driver, plant = run.station.GetSubsystemByName("driver"), run.parts.plant
     own, physics = (system.GetMyContextFromRoot(run.root) for system in (driver, plant))
     joints = [joint.position_start() for joint in moving_joints(plant)]
@@ -266,7 +266,7 @@ class Run:
 
     Attributes
     ----------
-    station, parts : what ``make`` made, with visualizers where a recording is wanted
+    station, parts : of what ``make`` made, with visualizers where a recording is wanted
     root : Context
     times : s, of making the station and of simulating it
     """
@@ -274,14 +274,15 @@ class Run:
     def __init__(
         self,
         scene: Scene,
-        make: Callable[..., tuple[Diagram, ScenePlant]],
+        make: Callable[[], tuple[DiagramBuilder, ScenePlant]],
         recording: str | Path | None,
     ):
-        self._path, self._film = Path(), None
-        if recording is not None:  # hours later it has to be written
-            self._path, self._film = film_path(scene, recording), Recording()
+        # hours later it has to be written
+        self._path = None if recording is None else film_path(scene, recording)
         self._begun = time.perf_counter()
-        self.station, self.parts = make(extend=None if self._film is None else self._film.Add)
+        builder, self.parts = make()
+        self._film = None if recording is None else Recording(builder, self.parts)
+        self.station = builder.Build()
         self._simulator = Simulator(self.station)
         discrete = self.parts.config.time_step > 0
         ApplySimulatorConfig(INTEGRATION if discrete else CONTINUOUS, self._simulator)
@@ -330,7 +331,7 @@ class Run:
 
     def film(self, result: SimulationResult) -> None:
         """Write the recording that shows a result, if one is wanted."""
-        if self._film is not None:
+        if self._film and self._path:
             self._film.Save(self._path, result)
 
 

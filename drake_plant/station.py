@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -78,16 +78,13 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
         A value of the configuration, or what :func:`AddScenePlant` and :class:`ContactPlanner`
         cannot do, with the remedy; in a simulation with meshes, a time beyond the scene's end.
     """
-    return build(scene, checked(scene, config, "station"))[0]
+    return build(scene, checked(scene, config, "station"))[0].Build()
 
 
 def build(
-    scene: Scene,
-    config: StationConfig,
-    extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None,
-    until: float | None = None,
-) -> tuple[Diagram, ScenePlant]:
-    """A station that is simulated until a time, s, or the scene's end."""
+    scene: Scene, config: StationConfig, until: float | None = None
+) -> tuple[DiagramBuilder, ScenePlant]:
+    """A station, to be built, that is simulated until a time, s, or the scene's end."""
     if config.hand is not None:
         raise SceneError(
             f"{scene.title}: a hand holds its fingertips: give plan_reorientation(hand, scene) to "
@@ -127,21 +124,21 @@ def build(
     if config.disturbance_input:
         builder.ExportInput(planner.GetInputPort("disturbance"), "disturbance")
     _export(builder, parts, planner, driver, monitor)
-    if extend is not None:
-        extend(builder, parts)
-    return builder.Build(), parts
+    return builder, parts
 
 
-def BuildHandStation(
-    plan: Reorientation, extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None
-) -> tuple[Diagram, ScenePlant]:
+def BuildHandStation(plan: Reorientation) -> Diagram:
     """Plant, :class:`HandDriver` and :class:`ContactMonitor` of a plan, wired.
 
     The systems are named "plant", "scene_graph", "driver", "monitor", and "push" where there are
     pushes; else the driver's port is exported as `push`. The plant's default state is the start.
-    ``extend`` may add systems before the diagram is built.
     """
     of_kind(Reorientation, plan, "plan", "a Reorientation")
+    return build_hand(plan)[0].Build()
+
+
+def build_hand(plan: Reorientation) -> tuple[DiagramBuilder, ScenePlant]:
+    """A hand's station, to be built."""
     builder = DiagramBuilder()
     parts = AddScenePlant(builder, plan.scene, plan.config)
     plant = parts.plant
@@ -154,9 +151,7 @@ def BuildHandStation(
     plant.SetDefaultFloatingBaseBodyPose(parts.object_body, plan.wanted(0.0))
     for joint, position in zip(moving_joints(plant), plan.q[0]):
         joint.set_default_positions([position])
-    if extend is not None:
-        extend(builder, parts)
-    return builder.Build(), parts
+    return builder, parts
 
 
 def wire(builder: DiagramBuilder, source: LeafSystem, target: LeafSystem, *names: str) -> None:

@@ -155,7 +155,7 @@ def test_an_object_heavier_than_planned_rests_before_and_after_a_path_of_ones_ow
     np.testing.assert_allclose(result.q[-1], plan.q[-1], atol=0.02)
     assert told.turned_off[result.t > 0.25].max() < math.radians(0.1)
     assert told.off[result.t < 0.1].max() < before
-    simulator = Simulator(BuildHandStation(plan)[0])
+    simulator = Simulator(BuildHandStation(plan))
     simulator.get_mutable_context().SetTime(0.5)
     with pytest.raises(cs.SceneError, match="begins at t = 0.5 s with joints as planned at 0 s"):
         simulator.Initialize()
