@@ -117,18 +117,14 @@ def balancing_forces(
         acts[np.abs(acts) < LEFT * np.abs(acts).max()] = 0.0
         acts *= size * np.repeat([1.0, length], 3)
         when = "" if t is None else f"t = {np.ravel(t)[k]:.6g} s: "
-        raise SceneError(when + _no_grasp(acts, margin, friction))
+        F, T = (", ".join(f"{x:.3g}" for x in part + 0.0) for part in (acts[:3], acts[3:]))
+        raise SceneError(
+            f"{when}no contact forces within {margin:.0%} of the friction cones balance what acts "
+            f"on the object: at least a force of ({F}) N and a torque of ({T}) N m about its "
+            f"origin are left; give more friction than {friction!r}, or contacts that hold it, "
+            "such as three around its mass centre"
+        )
     return size * forces
-
-
-def _no_grasp(acts: Array, margin: float, friction: ArrayLike) -> str:
-    force, torque = (", ".join(f"{x:.3g}" for x in part + 0.0) for part in (acts[:3], acts[3:]))
-    return (
-        f"no contact forces within {margin:.0%} of the friction cones balance what acts on the "
-        f"object: at least a force of ({force}) N and a torque of ({torque}) N m about its origin "
-        f"are left; give more friction than {friction!r}, or contacts that hold it, such as three "
-        "around its mass centre"
-    )
 
 
 def friction_used(forces: ArrayLike, normals: ArrayLike, friction: ArrayLike) -> Array:
@@ -144,22 +140,12 @@ def friction_used(forces: ArrayLike, normals: ArrayLike, friction: ArrayLike) ->
 def needed_wrench(
     inertia: SpatialInertia, gravity: ArrayLike, R_WO: Array, V_WO: ArrayLike, A_WO: ArrayLike
 ) -> tuple[Array, Array]:
-    """Force, and torque about the origin, in O, that move an object as planned against gravity.
+    """Force, and torque about the origin, in O, (m, 3) each, that move an object as planned.
 
-    Parameters
-    ----------
-    inertia : SpatialInertia
-        In O, about its origin.
-    gravity : (3,)
-        In the world, m/s^2.
+    inertia : in O, about its origin
+    gravity : (3,), in the world
     R_WO : (m, 3, 3)
-    V_WO, A_WO : (m, 6) or (6,)
-        Velocity and acceleration of the origin, the angular part first, in the world.
-
-    Returns
-    -------
-    (m, 3), (m, 3)
-        N and N m.
+    V_WO, A_WO : (m, 6) or (6,), of the origin, the angular part first, in the world
     """
     parts = np.hstack([V_WO, A_WO]).reshape(-1, 4, 3) - np.multiply.outer([0, 0, 0, 1], gravity)
     w, _, alpha, a = np.einsum("mji,mkj->kmi", R_WO, parts)
@@ -171,13 +157,7 @@ def needed_wrench(
 
 def pressed_config(scene: Scene, config: StationConfig, until: float) -> StationConfig:
     """The configuration with the normal force that its balance of the scene needs in the mean until
-    a time, s, where the object is held still at the world's origin.
-
-    Raises
-    ------
-    SceneError
-        Nothing balances gravity, with the time and the wrench that is left.
-    """
+    a time, s, where the object is held still at the world's origin."""
     if not config.balances:
         return config
     t = np.linspace(0.0, until, KNOTS)

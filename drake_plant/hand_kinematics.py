@@ -248,11 +248,6 @@ class Chains:
         """Positions (nq,) at which tips touch points from outside, (n, 3) each, in the world.
 
         Of all such positions those near the middles of ranges and pads.
-
-        Raises
-        ------
-        SceneError
-            A finger that does not come there, with where its tip is and its joints.
         """
         problem = InverseKinematics(self.plant, self.context, with_joint_limits=False)
         q, program, world = problem.q(), problem.get_mutable_prog(), self.plant.world_frame()
@@ -347,11 +342,6 @@ class Chains:
         """Velocities (nq,) of joints at which every tip rolls on the object without slip.
 
         V_WO : (6,), angular then linear, of the object's origin
-
-        Raises
-        ------
-        SceneError
-            A finger whose joints do not move its tip along.
         """
         self.put(q)
         found, w, rotation = np.zeros_like(q), V_WO[:3], X_WO.rotation().matrix()

@@ -168,13 +168,7 @@ class Touch:
 
 
 def touches_of(scene: Scene) -> list[Touch]:
-    """How the plan lets each finger touch the object.
-
-    Raises
-    ------
-    SceneError
-        The surfaces do not part around a planned contact, or two fingers are to be in one place.
-    """
+    """How the plan lets each finger touch the object."""
     plan, length = make_plan(scene), scene.path_length(scene.duration)
     times = np.linspace(0, scene.duration, min(max(100, math.ceil(length / SPACING)), 20_000))
     points, poses = plan.points(times), plan.pose(times)
