@@ -72,7 +72,6 @@ from contact_system import (
 from contact_system.checks import Array, of_kind
 from contact_system.errors import ContactSystemError
 from contact_system.plots.style import BODY, colour_of
-from contact_system.scene import require_scene
 
 from .config import EDGES, StationConfig, checked
 from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
@@ -144,8 +143,7 @@ class ScenePlant:
     Raises
     ------
     SceneError
-        A plant that is not finalized, bodies of another one, or more or fewer fingers than
-        contacts.
+        A plant that is not finalized, or more or fewer fingers than contacts.
     """
 
     scene: Scene
@@ -157,14 +155,7 @@ class ScenePlant:
     meshed: bool = False
 
     def __post_init__(self) -> None:
-        require_scene(self.scene)
-        of_kind(StationConfig, self.config, "config", "a StationConfig")
-        of_kind(MultibodyPlant, self.plant, "plant", "a MultibodyPlant")
         wanted, given = len(self.scene.contacts), len(self.finger_bodies)
-        for body in (self.object_body, *self.finger_bodies):
-            of_kind(RigidBody, body, "body", "a RigidBody")
-            if body.GetParentPlant() is not self.plant:
-                raise SceneError(f"body = {body!r}: it is another plant's; give one of this plant")
         if not self.plant.is_finalized():
             raise SceneError("the plant is not finalized: call plant.Finalize() first")
         if given != wanted:

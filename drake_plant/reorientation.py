@@ -177,8 +177,6 @@ def plan_reorientation(
     config = dataclasses.replace(config, hand=hand)
     with naming(scene.title):
         config.check(scene)
-        if not config.friction:
-            raise SceneError(f"friction = {config.friction!r}: a hand holds by friction; give more")
         if path is None:
             goal = goal_of(config) if X_WO_goal is None else X_WO_goal
             of_kind(RigidTransform, goal, "X_WO_goal", "a RigidTransform")

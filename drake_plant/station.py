@@ -15,7 +15,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
-from contact_system.checks import Array, finite_number, of_kind
+from contact_system.checks import Array, of_kind
 
 from .balance import FOUND, ForceBalancer, pressed_config
 from .config import Push, StationConfig, body_names, check_pushes, checked
@@ -194,7 +194,6 @@ def PushSource(scene: Scene, pushes: Sequence[Push], time_step: float = 0.0) -> 
         A push on something that the scene has not, or a wrong number.
     """
     check_pushes(scene, pushes)
-    finite_number(time_step, f"{scene.title}: time_step", "not below 0")
     names = body_names(scene)
     edges = np.array([0.0, *(p.start for p in pushes), *(p.stop for p in pushes)])
     if time_step:

@@ -657,8 +657,6 @@ def test_wrong_parts_of_a_plant_of_ones_own_are_named():
         own_parts(finalized=False)
     with pytest.raises(cs.SceneError, match="0 finger_bodies: give 1, one for each contact"):
         own_parts(finger_bodies=[])
-    with pytest.raises(cs.SceneError, match="body = .*'object'.*: it is another plant's; give"):
-        own_parts(object_body=own_parts().object_body)
 
 
 def test_arguments_of_another_kind_are_refused_by_name(tmp_path):

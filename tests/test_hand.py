@@ -68,7 +68,6 @@ def test_fingers_of_six_joints_follow_routes_of_reach(tmp_path):
         ({"hand": {"base": [0, 0, -0.3]}}, ["finger 1 does not reach", "joint", "limit|rad"]),
         ({"hand": {"pad": 0.011}}, ["finger 3 rolls off its pad", "pad = 0.011"]),
         ({"turn": [[0, -60, 0]]}, ["finger 1 does not get as far", "finger_0_joint_", "rad"]),
-        ({"friction": 0.0, "gravity": 0.0}, ["friction = 0.0", "give more"]),
         ({"normal_force": 15.0, "stiffness": 1e5}, ["finger_0_joint", "its limit is 0.7"]),
         ({"hand": {"joints": 6, "pad": 0.006}}, ["^scene 'H2', contact 0: (?!.*H2)"]),
         ({"hand": {"tips": ["a"]}}, ["tips = .'a'.", "0 names"]),
