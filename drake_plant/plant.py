@@ -69,8 +69,7 @@ from contact_system import (
     Torus,
     Turning,
 )
-from contact_system.checks import Array, of_kind
-from contact_system.errors import ContactSystemError
+from contact_system.checks import Array, naming, of_kind
 from contact_system.plots.style import BODY, colour_of
 
 from .config import EDGES, StationConfig, checked
@@ -185,21 +184,19 @@ def AddScenePlant(
 
     Raises
     ------
-    SceneError, SurfaceError
+    SceneError
         A value of the configuration, a surface that Drake's contact cannot take, or a builder that
         has a system "plant", "scene_graph" or "turning" already, with the remedy.
     """
     of_kind(DiagramBuilder, builder, "builder", "a DiagramBuilder")
     config = checked(scene, config, "plant")
-    try:
+    with naming(f"{scene.title}, plant"):
         _check_names(builder, config)
         config = dataclasses.replace(config)  # the caller may change what is his
         _check_surfaces(scene, config)
         touches = touches_of(scene)
         _check_edges(config, touches)
         return _add(builder, scene, config, touches)
-    except ContactSystemError as error:
-        raise type(error)(f"{scene.title}, plant: {error}") from None
 
 
 def _add(

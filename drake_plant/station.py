@@ -74,7 +74,7 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
 
     Raises
     ------
-    SceneError, SurfaceError
+    SceneError
         A value of the configuration, or what :func:`AddScenePlant` and :class:`ContactPlanner`
         cannot do, with the remedy; in a simulation with meshes, a time beyond the scene's end.
     """
