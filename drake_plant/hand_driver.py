@@ -21,7 +21,7 @@ from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 from contact_system import SceneError
 from contact_system.checks import Array
 
-from .hand_kinematics import Chains, cross, moving_joints, way_to
+from .hand_kinematics import Chains, moving_joints, way_to
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs
 from .reorientation import Reorientation
@@ -137,9 +137,8 @@ class HandDriver(LeafSystem):
         place = self.plan.wanted(time).translation()
         chains.put(q_d, v_d)
         for i, motion in enumerate(chains.motions(a_d)):
-            given["X_WT"][i], given["V_WT"][i], given["A_WT"][i] = motion
-            p = given["X_WT"][i, :, 3]
-            p += shift + cross(turn, p - place)
+            given["p_WT"][i], given["V_WT"][i], given["A_WT"][i] = motion
+        given["p_WT"] += shift + np.cross(turn, given["p_WT"] - place)
         chains.put(q, v)
         back = POSTURE * (POSTURE * (q_d - q) + 2 * (v_d - v))
         torque = chains.carrying(a_d + back)

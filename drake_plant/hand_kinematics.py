@@ -203,11 +203,11 @@ class Chains:
         )
 
     def motions(self, a: Array) -> list[tuple[Array, Array, Array]]:
-        """X_WF, V_WF and A_WF of the tips, (3, 4), (6,), (6,), at accelerations of the joints."""
+        """p_WF, V_WF and A_WF of the tips, (3,), (6,), (6,), at accelerations of the joints."""
         found = self.plant.CalcSpatialAccelerationsFromVdot(self.context, a)
         return [
             (
-                tip.EvalPoseInWorld(self.context).GetAsMatrix34(),
+                tip.EvalPoseInWorld(self.context).translation(),
                 tip.EvalSpatialVelocityInWorld(self.context).get_coeffs(),
                 found[tip.index()].get_coeffs(),
             )

@@ -44,8 +44,8 @@ SLIP_SHARE = 0.8
 TIP = {"X_WF": 12, "V_WF": 6, "contact_force": 3}
 """What is true of a tip: its pose, row by row, its velocity, the angular part first, and the force
 that it shall exert on the object."""
-WANTED = {"X_WT": 12, "V_WT": 6, "A_WT": 6, "normal": 3, "turning": 3, "arm": 3}
-"""The tip as it should be, T: its pose, velocity and acceleration, the contact's normal, how fast
+WANTED = {"p_WT": 3, "V_WT": 6, "A_WT": 6, "normal": 3, "turning": 3, "arm": 3}
+"""The tip as it should be, T: its place, velocity and acceleration, the contact's normal, how fast
 that turns, and the contact point from the tip's origin."""
 CONSTANT = {"h": 1, "mass": 1, "inertia": 9, "gravity": 3}
 CONSTANT |= dict.fromkeys((*GAINS, "slip_gain", "hold"), 1)
