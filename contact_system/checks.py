@@ -6,7 +6,6 @@ import difflib
 import math
 import numbers
 import os
-import re
 import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -20,7 +19,6 @@ from . import limits
 from .errors import ContactSystemError, SceneError
 
 Array = NDArray[np.float64]
-FLOAT = np.dtype(float)
 LARGEST = 1e100  # beyond this sigma^3 overflows
 
 
@@ -113,8 +111,7 @@ def finite_numbers(
     if is_plain(values):
         return values
     try:
-        # a set has no order; a table would give its keys, bytes their codes
-        if isinstance(values, (str, bytes, set, frozenset, Mapping)):
+        if isinstance(values, (set, dict)):  # of no order, or keys
             raise TypeError
         found = tuple(map(_as_float, values))
     except (TypeError, ValueError):
@@ -140,9 +137,8 @@ def finite_number(
         number = math.nan
     allowed = number > 0 or not bound or (number == 0 and bound != "above 0")
     if not (allowed and abs(number) < LARGEST):
-        shown = number if math.isinf(number) else value  # an integer may be too long to show
         limit = "(below 1e100)" if abs(number) >= LARGEST else bound
-        raise error(f"{what} = {shown!r}: give a finite number {limit}".rstrip())
+        raise error(f"{what} = {value!r}: give a finite number {limit}".rstrip())
     return number
 
 
@@ -174,13 +170,9 @@ def real_array(values: Any) -> np.ndarray:
     texts, booleans, complex numbers and None, which numpy would convert, and for masked numbers,
     whose mask it would drop.
     """
-    if type(values) is np.ndarray and values.dtype is FLOAT:
-        return values
     array = np.asarray(values)
     if isinstance(values, np.ndarray) and np.any(getattr(values, "mask", False)):
         raise TypeError
-    if array.dtype is FLOAT:
-        return array
     kind = array.dtype.kind
     if kind not in "iufO" or (kind == "O" and any(x is None for x in array.flat)):
         raise TypeError
@@ -233,12 +225,9 @@ def flag(value: Any, what: str) -> bool:
 def a_path(value: Any, what: str = "path") -> Path:
     """The value as a Path; raises a SceneError if it does not name a file."""
     try:
-        path = os.fsdecode(value)
-        if "\0" in path:
-            raise TypeError
+        return Path(os.fsdecode(value))
     except TypeError:
         raise SceneError(f"{what} = {value!r:.80}: give a path") from None
-    return Path(path)
 
 
 def items_of(values: Any) -> tuple:
@@ -253,8 +242,3 @@ def make_folder(path: Path, remedy: str) -> Path:
     except OSError as error:
         raise ContactSystemError(f"no folder '{path}': {error.strerror}; {remedy}") from None
     return path
-
-
-def is_device(name: str) -> bool:
-    """Whether Windows takes a file of this name, with any ending, for a device."""
-    return re.match(r"(con|prn|aux|nul|(com|lpt)[0-9])(\.|$)", name, re.IGNORECASE) is not None

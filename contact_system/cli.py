@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from . import __version__, plots
-from .checks import is_device, known_keys, make_folder, naming
+from .checks import known_keys, make_folder, naming
 from .errors import ContactSystemError, SceneError
 from .measures import (
     CONFORMS,
@@ -265,7 +265,7 @@ def file_name(scene: Scene) -> str:
     """The scene's name as a name of files and folders, short enough for any file system."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in scene.name)
     name = name.encode()[:100].decode(errors="ignore").strip(".-")
-    return f"scene-{name}" if is_device(name) else name or "scene"
+    return name or "scene"
 
 
 def _write(args: argparse.Namespace, stem: Path, shown: Plan, other: Plan | None = None) -> None:

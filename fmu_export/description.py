@@ -18,7 +18,7 @@ from string import Template
 import numpy as np
 
 from contact_system import __version__
-from contact_system.checks import is_device, items_of
+from contact_system.checks import items_of
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
@@ -101,8 +101,7 @@ def check_choice(fmi_version: str, interfaces: Iterable[str]) -> tuple[str, ...]
 def model_identifier(scene: Scene) -> str:
     """The scene's name as a C identifier, which names files too."""
     name = re.sub(r"\W", "_", scene.name[:100], flags=re.ASCII)
-    fine = re.match("[A-Za-z]", name) and not is_device(name)
-    return name if fine else f"scene_{name}".rstrip("_")
+    return name if re.match("[A-Za-z]", name) else f"scene_{name}".rstrip("_")
 
 
 def listed(table: Table, fmi_version: str) -> list[Variable]:
