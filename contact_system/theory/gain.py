@@ -170,8 +170,6 @@ class Gain:
 
 # --- contraction of slip -----------------------------------------------------------------------
 
-CHANGE = 100.0  # ratio of sigma at the ends of an expansion; its cube loses six digits
-
 
 @dataclass(frozen=True)
 class Contraction:
@@ -268,8 +266,6 @@ def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[flo
     """Intervals on which sigma' - lam sigma < 0."""
     intervals: list[tuple[float, float]] = []
     knots = profile.knots(0.0, duration)
-    stretches = zip(knots, knots[1:])
-    knots = *(t for s in stretches for t in _parts(profile, *s, 1e-3 * duration)), duration
     for start, stop in zip(knots, knots[1:]):
         # expanded about its middle, where cancellation is least
         middle = 0.5 * (start + stop)
@@ -285,19 +281,6 @@ def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[flo
                     a = intervals.pop()[0]
                 intervals.append((a, b))
     return tuple(intervals)
-
-
-def _parts(profile: Profile, start: float, stop: float, shortest: float) -> list[float]:
-    """Where parts of a stretch begin on which sigma changes little enough for one expansion.
-
-    One expansion of sigma^3 would cancel where sigma is far below its greatest value there.
-    """
-    low, high = sorted((profile(start), profile(stop)))
-    if high <= CHANGE * low or stop - start <= shortest:
-        return [start]
-    middle = 0.5 * (start + stop)
-    halves = (start, middle), (middle, stop)
-    return [t for half in halves for t in _parts(profile, *half, shortest)]
 
 
 def _slip_factors(
