@@ -76,13 +76,11 @@ def _scene(text: str, source: str) -> Scene:
         within("NESTING", key.count("."), f"key {key:.40}...: dots")
     try:
         document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # of TOML, or of a number of more than 4300 digits
         raise SceneError(
             f"is not valid TOML: {error}; correct that line (texts and arithmetic stand in quotes, "
             'as "2*pi/3")'
         ) from None
-    except ValueError as error:  # int() reads no more than 4300 digits
-        raise SceneError(f"holds a number that is too long: {error}; shorten it") from None
     contacts = document.get("contacts")
     all_legs = isinstance(contacts, list) and all("legs" in c for c in contacts if type(c) is dict)
     moved = () if all_legs else ("duration", "profile")

@@ -392,10 +392,10 @@ def positive_length(surface: Surface, name: str, value: Any) -> float:
     number = finite_number(value, what, error=SurfaceError)
     if number >= LEAST_LENGTH:
         return number
-    remedy = "for a concave surface give the length positive and inside=True"
-    if number > 0:  # its square underflows
-        remedy = "use a smaller unit of length"
-    raise SurfaceError(f"{what} = {value!r} m must be above {LEAST_LENGTH:g} m; {remedy}")
+    raise SurfaceError(
+        f"{what} = {value!r} m must be above {LEAST_LENGTH:g} m; for a concave surface give the "
+        "length positive and inside=True"
+    )
 
 
 class OfLengths(Surface):

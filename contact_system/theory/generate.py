@@ -24,7 +24,7 @@ from ..engine.binding import OTHER
 from ..surfaces import KINDS, Surface
 from ..writing import writing
 from .equations import contact_functions
-from .lowering import OPERATIONS, Table, c_number, lowered
+from .lowering import OPERATIONS, Table, lowered
 
 N = 16  # nodes of Gauss collocation
 FOLDER = Path(__file__).parents[1] / "engine" / "generated"
@@ -112,7 +112,7 @@ def initialiser(value: Any) -> str:
     """Return a number, a name or a list of these in C."""
     if isinstance(value, list):
         return "{" + ", ".join(map(initialiser, value)) + "}"
-    return "NULL" if value is None else c_number(value) if isinstance(value, float) else str(value)
+    return "NULL" if value is None else str(value)
 
 
 def _column(rows: list[Any]) -> str:

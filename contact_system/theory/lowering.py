@@ -285,7 +285,7 @@ class Table(TableData):
 
         def operand(register: int) -> str:
             if register in literals:
-                return c_number(self.numbers[register - self.first_lit])
+                return str(float(self.numbers[register - self.first_lit]))
             return held.get(register, f"r[{register}][i]")
 
         lines = list[str]()
@@ -305,11 +305,6 @@ class Table(TableData):
 def _words(steps: list[Step]) -> np.ndarray:
     rows = [(CODES[name], to, *[*registers, 0][:2]) for name, to, registers in steps]
     return np.array([*rows, (0, 0, 0, 0)], dtype=np.uint16)
-
-
-def c_number(value: float) -> str:
-    """A float in C, to the last bit."""
-    return repr(float(value))
 
 
 # --- the tables of a surface ---------------------------------------------------------------------
