@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from ctypes import POINTER, Structure, c_char_p, c_double, c_int32, c_int64, c_void_p
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -167,24 +168,18 @@ LAYOUT = tuple((c_int32 * 4).in_dll(_LIBRARY, "contact_layout"))
 """Version of the scene's buffer; numbers in its header, in a contact, and in a moment of one."""
 
 
-class Builtins:
+def builtin_tables(data: SurfaceData) -> SimpleNamespace:
     """The tables of a bundled surface, with the attributes of `lowering.SurfaceTables`."""
-
-    def __init__(self, data: SurfaceData):
-        self.data = data
-
-    def __getattr__(self, name: str) -> Any:
-        addresses = self.data.other if name in OTHER else getattr(self.data, name)
-        tables = tuple(None if at is None else TableData.from_address(at) for at in addresses)
-        found = tables[OTHER.index(name)] if name in OTHER else tables
-        self.__dict__[name] = found
-        return found
+    chart, ambient, other = (
+        [None if at is None else TableData.from_address(at) for at in addresses]
+        for addresses in (data.chart, data.ambient, data.other)
+    )
+    return SimpleNamespace(chart=chart, ambient=ambient, **dict(zip(OTHER, other)))
 
 
 _COUNT = c_int32.in_dll(_LIBRARY, "n_builtin_surfaces").value
 SURFACES = {
-    data.name.decode(): Builtins(data)
-    for data in (SurfaceData * _COUNT).in_dll(_LIBRARY, "builtin_surfaces")
+    data.name.decode(): data for data in (SurfaceData * _COUNT).in_dll(_LIBRARY, "builtin_surfaces")
 }
 """The bundled surfaces by their ``table_name``."""
 START, POSE = (TableData * 2).in_dll(_LIBRARY, "contact_tables")

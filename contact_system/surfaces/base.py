@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import Array, finite_number, of_kind, real_array, shaped_array
-from ..engine.binding import SURFACES, SurfaceData, address, run, wind
+from ..engine.binding import SURFACES, SurfaceData, address, builtin_tables, run, wind
 from ..errors import ChartSingularity, SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
@@ -105,7 +105,8 @@ class Surface:
     @kept
     def tables(self) -> Any:
         """The tables of instructions of this structure: see `lowering.SurfaceTables`."""
-        return lowered(self) if self.table_name is None else SURFACES[self.table_name]
+        name = self.table_name
+        return lowered(self) if name is None else builtin_tables(SURFACES[name])
 
     @property
     def traits(self) -> list[float]:
@@ -118,7 +119,7 @@ class Surface:
     @property
     def engine_data(self) -> SurfaceData:
         """The engine's ``surface_t``, which points to the tables."""
-        return self._own_data if self.table_name is None else SURFACES[self.table_name].data
+        return self._own_data if self.table_name is None else SURFACES[self.table_name]
 
     @kept
     def _own_data(self) -> SurfaceData:
