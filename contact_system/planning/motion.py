@@ -233,11 +233,8 @@ class Motion:
 
     def lines(self) -> list[str]:
         """How each contact and interval was planned, why, and what was skipped."""
-        return lines(self.scene, [self._facts(i) for i in range(self._count)])
-
-    def _facts(self, contact: int) -> list[binding.Fact]:
-        """What the engine tells of the intervals of a contact's bodies, the finger first."""
-        count = binding.facts(self, contact, 0, None)
-        facts = (binding.Fact * count)()
-        binding.facts(self, contact, count, facts)
-        return list(facts)
+        facts: list[Any] = []
+        for i in range(self._count):
+            facts.append((binding.Fact * binding.facts(self, i, 0, None))())
+            binding.facts(self, i, len(facts[i]), facts[i])
+        return lines(self.scene, facts)

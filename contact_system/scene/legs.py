@@ -37,7 +37,7 @@ class Leg:
     duration : float
         s.
     profile : Profile, optional
-        sigma over the time since the leg's start; by default from rest to rest,
+        sigma over the time since the leg's start; by default with minimum jerk from rest to rest,
         s = length (10 x^3 - 15 x^4 + 6 x^5) with x = t/duration.
 
     Raises
@@ -64,7 +64,9 @@ class Leg:
         if self.profile is None:
             if self.length is None:
                 raise SceneError("length = None: give a length, or a profile")
-            put(self, "profile", rest_to_rest(self.length, self.duration))
+            speed = self.length / self.duration
+            rates = [30 * speed * c / self.duration**k for k, c in ((2, 1), (3, -2), (4, 1))]
+            put(self, "profile", Profile([0.0, 0.0, *rates]) if self.length > 0 else STILL)
             return
         of_kind(Profile, self.profile, "profile", "a Profile")
         if any(self.profile.coefficients):
@@ -78,15 +80,6 @@ class Leg:
                 f"{self.duration:g} s; leave one of the two out, as None"
             )
         put(self, "length", own)
-
-
-def rest_to_rest(length: float, duration: float) -> Profile:
-    """The minimum-jerk profile from rest to rest, over a length [m] in a time [s]."""
-    speed = length / duration
-    rates = [30 * speed * c / duration**k for k, c in ((2, 1), (3, -2), (4, 1))]
-    if not length > 0:
-        return STILL
-    return Profile([0.0, 0.0, *rates])
 
 
 class Stretch(NamedTuple):

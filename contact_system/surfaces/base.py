@@ -150,9 +150,7 @@ class Surface:
         return self.chart.periods
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Surface):
-            return NotImplemented
-        return self.identity == other.identity
+        return isinstance(other, Surface) and self.identity == other.identity
 
     def __hash__(self) -> int:
         return hash((self.structure, self.parameters))
