@@ -123,15 +123,19 @@ class _Reader:
         )
 
     def number(self, node: ast.Constant) -> float:
-        if isinstance(node.value, bool) or not isinstance(node.value, (int, float)):
+        if type(node.value) not in (int, float):
             raise self.fail(node, f"{node.value!r} is not a real number")
+        return self.result(node, float, node.value)
+
+    def result(self, node: ast.expr, function: Callable[..., float], *values: Any) -> float:
+        """The function of numbers, if it is a finite number."""
         try:
-            value = float(node.value)
-        except OverflowError:
-            value = math.inf
-        if not math.isfinite(value):
+            result = function(*values)
+        except (ArithmeticError, ValueError) as error:
+            raise self.fail(node, f"the result is not a real number ({error})") from None
+        if not math.isfinite(result):
             raise self.fail(node, "the number is too large")
-        return value
+        return result
 
     def name(self, node: ast.Name) -> Value:
         if node.id in self.names:
@@ -168,13 +172,7 @@ class _Reader:
                 problem = f"the power {power:g} is beyond {MOST_POWER:g}; write a lower one"
                 raise self.fail(node, problem)
             return getattr(ca, of_symbols)(*values)
-        try:
-            result = of_numbers(*values)
-        except (ArithmeticError, ValueError) as error:
-            raise self.fail(node, f"the result is not a real number ({error})") from None
-        if not math.isfinite(result):
-            raise self.fail(node, "the number is too large")
-        return result
+        return self.result(node, of_numbers, *values)
 
     def unknown(self, node: ast.expr, name: str, known: Iterable[str]) -> ContactSystemError:
         hint = did_you_mean(name, known) or f"; known are {', '.join(sorted(known))}"

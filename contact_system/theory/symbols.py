@@ -31,13 +31,10 @@ class _CtrlC:
     """Handler that defers SIGINT: CasADi may lose an exception raised inside it."""
 
     def __init__(self, usual: Callable[..., Any]):
-        self.usual, self.came, self.heard = usual, False, False
+        self.usual, self.came = usual, False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         self.came = True
-        if self.heard:
-            self.usual(number, frame)
-            self.came = False
 
 
 @contextmanager
@@ -69,11 +66,11 @@ def hearing_ctrl_c() -> Iterator[None]:
     if not isinstance(kept, _CtrlC):
         yield
         return
-    kept.heard = True
+    signal.signal(signal.SIGINT, kept.usual)
     try:
         yield
     finally:
-        kept.heard = False
+        signal.signal(signal.SIGINT, kept)
 
 
 MOST_KEPT = 64  # cached results of each function
