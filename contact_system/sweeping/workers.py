@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import itertools
 import os
@@ -25,52 +24,11 @@ def spread(
     at a time; the scenes of one that is lost even so become failures, which no file keeps: the next
     sweep tries them again, perhaps with more memory.
     """
-    with contextlib.closing(_Crew(executor, run)) as crew:
-        for most in (ahead, ahead, 1):
-            lost: list[tuple[Chunk, Any]] = []
-            for chunk, part in crew.work(chunks, most):
-                if isinstance(part, Part):
-                    yield chunk, part
-                else:
-                    lost.append((chunk, part))
-            chunks = [chunk for chunk, _ in lost]
-    for chunk, error in lost:
-        failures = [a_failure(*placed, error) for placed in enumerate(chunk.items, chunk.first)]
-        yield dataclasses.replace(chunk, file=None), Part(NOTHING, failures)
+    pools = [executor]  # and its replacements
 
-
-class _Crew:
-    """The workers of an executor, and of its replacement if it breaks."""
-
-    def __init__(self, executor: Executor, run: Run):
-        self.executor, self.given, self.run = executor, executor, run
-        # a worker without a chunk must end with the sweep, too
-        if isinstance(executor, futures.ProcessPoolExecutor):
-            pool: Any = executor
-            if pool._initializer is not _begin:
-                pool._initargs = (os.getpid(), pool._initializer, pool._initargs)
-                pool._initializer = _begin
-
-    def work(self, chunks: Iterable[Chunk], ahead: int) -> Generator[tuple[Chunk, Any]]:
-        """Chunks as they finish, each with its part or with the error that ended its worker."""
-        working: dict[Future, Chunk] = {}
-        waiting = iter(chunks)
+    def submit(chunk: Chunk) -> Future:
         try:
-            while True:
-                for chunk in itertools.islice(waiting, ahead - len(working)):
-                    working[self._submit(chunk)] = chunk
-                if not working:
-                    return
-                for future in futures.wait(working, return_when=futures.FIRST_COMPLETED).done:
-                    yield working.pop(future), _outcome(future)
-        finally:
-            for future in working:
-                future.cancel()
-
-    def _submit(self, chunk: Chunk) -> Future:
-        executor = self.executor
-        try:
-            return executor.submit(self.run, chunk)
+            return pools[-1].submit(run, chunk)
         except RuntimeError as error:
             broke = isinstance(error, futures.BrokenExecutor)
             if not broke or not isinstance(executor, futures.ProcessPoolExecutor):
@@ -79,15 +37,50 @@ class _Crew:
                     "shut down, and if it starts processes, sweep below if __name__ == "
                     "'__main__'; with a folder, finished chunks are not done again"
                 ) from error
-        self.close()
         names = ("_max_workers", "_mp_context", "_initializer", "_initargs")
-        self.executor = futures.ProcessPoolExecutor(*(getattr(executor, name) for name in names))
-        return self.executor.submit(self.run, chunk)
+        pools.append(futures.ProcessPoolExecutor(*(getattr(executor, name) for name in names)))
+        return pools[-1].submit(run, chunk)
 
-    def close(self) -> None:
-        """Shut down the replacement of the given executor."""
-        if self.executor is not self.given:
-            self.executor.shutdown()
+    # a worker without a chunk must end with the sweep, too
+    if isinstance(executor, futures.ProcessPoolExecutor):
+        pool: Any = executor
+        if pool._initializer is not _begin:
+            pool._initargs = (os.getpid(), pool._initializer, pool._initargs)
+            pool._initializer = _begin
+    try:
+        for most in (ahead, ahead, 1):
+            lost: list[tuple[Chunk, Any]] = []
+            for chunk, part in _work(chunks, submit, most):
+                if isinstance(part, Part):
+                    yield chunk, part
+                else:
+                    lost.append((chunk, part))
+            chunks = [chunk for chunk, _ in lost]
+    finally:
+        for pool in pools[1:]:
+            pool.shutdown()
+    for chunk, error in lost:
+        failures = [a_failure(*placed, error) for placed in enumerate(chunk.items, chunk.first)]
+        yield dataclasses.replace(chunk, file=None), Part(NOTHING, failures)
+
+
+def _work(
+    chunks: Iterable[Chunk], submit: Callable[[Chunk], Future], ahead: int
+) -> Generator[tuple[Chunk, Any]]:
+    """Chunks as they finish, each with its part or with the error that ended its worker."""
+    working: dict[Future, Chunk] = {}
+    waiting = iter(chunks)
+    try:
+        while True:
+            for chunk in itertools.islice(waiting, ahead - len(working)):
+                working[submit(chunk)] = chunk
+            if not working:
+                return
+            for future in futures.wait(working, return_when=futures.FIRST_COMPLETED).done:
+                yield working.pop(future), _outcome(future)
+    finally:
+        for future in working:
+            future.cancel()
 
 
 def _begin(sweeper: int, initializer: Callable | None, arguments: tuple) -> None:
