@@ -272,8 +272,7 @@ class Instance:
         self._fmu = fmu
         if self.version == 2:
             _CALLBACKS[:] = [fmu.callbacks]
-        categories = [category.name for category in self.description.logCategories]
-        status = [name for name in categories if name.startswith("logStatus")]
+        status = [c.name for c in self.description.logCategories if c.name.startswith("logStatus")]
         if status:  # and not what it says about each step
             with contextlib.suppress(FMICallException):
                 fmu.setDebugLogging(True, status)

@@ -55,7 +55,9 @@ class FmuSystem(LeafSystem):
     step one Context at a time and only forward; a second one is refused. Threads that share the
     system take turns.
 
-    The FMU is freed, and what was unpacked of it removed, with the system.
+    When the FMU asks to end the simulation within a step, the update returns
+    EventStatus.ReachedTermination and Simulator.AdvanceTo ends there. The FMU is freed, and what
+    was unpacked of it removed, with the system.
 
     Parameters
     ----------
@@ -85,11 +87,6 @@ class FmuSystem(LeafSystem):
         FMU refuses, a Context that the FMU cannot return to.
     ImportError
         fmpy is not installed.
-
-    Notes
-    -----
-    When the FMU asks to end the simulation within a step, the update returns
-    EventStatus.ReachedTermination and Simulator.AdvanceTo ends there.
     """
 
     __slots__ = NO_DICTIONARY

@@ -16,8 +16,7 @@ from contact_system.system import system_table
 from .lifetimes import NO_DICTIONARY
 from .planner_base import PlannerBase, scene_system
 
-PLANNED = {name: name for name in ("slip", "twist", "pose")}
-PLANNED |= {"state": "states", "contact_point": "points"}
+PLANNED = dict(slip="slip", twist="twist", pose="pose", state="states", contact_point="points")
 """Ports that are results of a plan, by their names there."""
 RATES = ("acceleration", "normal", "normal_rate")
 """Ports that follow from a plan's moving frames."""
