@@ -13,7 +13,8 @@ ziglang package, which pip fetches then. $CONTACT_SYSTEM_CFLAGS adds flags. For 
 - dispatch.c, which holds the tables, is compiled once, as baseline. It learns by -DHAVE_V3 whether
   there are two variants, and chooses when the library is used.
 - fmu_export/c/fmi2.c and fmi3.c, which include the rest of that folder, are the functions of FMI:
-  the library is the binary of every FMU too.
+  the library is the binary of every FMU too. With -ftrapping-math they meet NaN quietly: importers
+  may trap invalid operations.
 - Only what is marked EXPORT is seen from outside. At run time there are libc and libm alone.
 - Products and sums are not contracted, so that a table and its twin give the same bits.
 - ziglang's compiler has a sin, an exp and so on of its own, less exact than libm's. Whatever needs
@@ -156,7 +157,8 @@ def build_library(library: Path, room: Path) -> None:
         jobs = [(engine, f"engine_{k}", f"-DVARIANT={k}", *have[k]) for k in have]
         told = [f"-DHAVE_{name.upper()}" for name in have]
         jobs.append((ENGINE / "dispatch.c", "dispatch", *told, *have["baseline"]))
-        jobs += [(FMI / f"{k}.c", k, *have["baseline"]) for k in ("fmi2", "fmi3")]
+        quiet = (*have["baseline"], "-ftrapping-math")
+        jobs += [(FMI / f"{k}.c", k, *quiet) for k in ("fmi2", "fmi3")]
         objects = list(pool.map(lambda job: compiled(*job), jobs))
     run(*command, *objects, "-o", str(room / library.name), *LINKING)
     shutil.copy(room / library.name, library.with_suffix(".part"))

@@ -89,7 +89,7 @@ static const char *make_component(component_t *c, const char *resources) {
 
 static status_t check_value(component_t *c, unsigned reference, double value) {
   const double *least = data_at(c->model, c->model->head->least);
-  if (!(fabs(value) <= DBL_MAX))
+  if (!isfinite(value))
     return report(c, DISCARD, "%s = %g is refused; give a finite number",
                   name_of(c->model, reference), value);
   if (value < least[reference])

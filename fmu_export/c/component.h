@@ -107,7 +107,7 @@ static void forget_values(component_t *c) {
 
 static inline int all_finite(const double *x, long n) {
   for (long i = 0; i < n; i++)
-    if (!(fabs(x[i]) <= DBL_MAX)) return 0;
+    if (!isfinite(x[i])) return 0;
   return 1;
 }
 

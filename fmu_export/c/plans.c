@@ -109,7 +109,7 @@ static double least_span(double t) { return 8 * DBL_EPSILON * fmax(1.0, t); }
 static double end_of(const component_t *c, double begin, double end, double target) {
   end = fmin(fmax(fmax(end, target), begin + least_span(begin)), c->now->limit);
   const double edge = edge_at(c, end, 1);
-  if (fabs(edge) < HUGE_VAL) end = edge + fmax(0.01 * (edge - begin), least_span(edge));
+  if (isfinite(edge)) end = edge + fmax(0.01 * (edge - begin), least_span(edge));
   return fmin(end, c->now->limit);
 }
 

@@ -136,7 +136,7 @@ static double edge_at(const component_t *c, double time, int last) {
 
 static double snapped(const component_t *c, double time) {
   const double edge = edge_at(c, time, 1);
-  return fabs(edge) < HUGE_VAL ? edge : time;
+  return isfinite(edge) ? edge : time;
 }
 
 /* Whether a window acts on contact i at the time that values are of */

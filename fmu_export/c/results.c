@@ -48,9 +48,9 @@ static status_t refuse(component_t *c, unsigned reference) {
 static status_t check_found(component_t *c, unsigned reference, const double *value, long count) {
   const long owner = (long)c->model->values[reference].owner;
   for (long i = 0; i < count; i++) {
-    if (fabs(value[i]) <= BEYOND_VALUES) continue;
+    if (islessequal(fabs(value[i]), BEYOND_VALUES)) continue;
     const unsigned r = reference + (unsigned)i;
-    if (!(fabs(value[i]) <= DBL_MAX) || (c->model->values[r].kind == CALCULATED && rests(c, owner)))
+    if (!isfinite(value[i]) || (c->model->values[r].kind == CALCULATED && rests(c, owner)))
       return refuse(c, r);
   }
   return OK;
@@ -60,7 +60,7 @@ static status_t get_values(component_t *c, unsigned reference, long count, doubl
   const long i = (long)c->model->values[reference].owner;
   const int system = SYSTEM(c->now);
   int group = OF_INPUTS;
-  while (i >= 0 && reference >= at_of(c->model, i, group + 1)) group++;
+  while (i >= 0 && (long)reference >= at_of(c->model, i, group + 1)) group++;
   if (group >= (system ? OF_RATES : OF_STATES)) { /* others are given */
     status_t s = system ? OK : settle(c, "values", c->now->time);
     if (!s) s = find(c, i, group);
@@ -109,7 +109,7 @@ static void grow_results(component_t *c, long i) {
   const double most = past_end(c) ? -1.0 : rests(c, i) ? BEYOND_VALUES : HUGE_VAL;
   for (long j = 0; j < n; j++)
     for (int d = 0; d < L; d++)
-      if (fabs(results[j][d]) > most) results[j][d] = NAN;
+      if (isgreater(fabs(results[j][d]), most)) results[j][d] = NAN;
 }
 
 /* Results of the contacts that are asked for, from what stands in c->grows of the other values */

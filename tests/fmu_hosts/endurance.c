@@ -59,7 +59,7 @@ static void run(fmu_t fmu, const job_t *job, int reading, double *value) {
 }
 
 static fmu_t started(const job_t *job) {
-  fmu_t fmu = create(job->model.token);
+  fmu_t fmu = create(job->model.token, 1);
   if (!fmu || begin(fmu)) stop("the FMU does not start");
   return fmu;
 }

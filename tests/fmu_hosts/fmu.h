@@ -1,4 +1,4 @@
-/* The few calls that the programs here make, in FMI 2 (FMI_VERSION 2) and FMI 3; co-simulation. */
+/* The few calls that the programs here make, in FMI 2 (FMI_VERSION 2) and FMI 3. */
 #ifndef FMU_HOST
 #define FMU_HOST
 #include <stdarg.h>
@@ -36,8 +36,8 @@ static void log_line(fmi2ComponentEnvironment environment, fmi2String name, fmi2
 
 static const fmi2CallbackFunctions callbacks = {log_line, calloc, free, NULL, NULL};
 
-static fmu_t create(const char *token) {
-  return fmi2Instantiate("one", fmi2CoSimulation, token, resources("file://"), &callbacks, fmi2False, fmi2True);
+static fmu_t create(const char *token, int stepping) {
+  return fmi2Instantiate("one", stepping ? fmi2CoSimulation : fmi2ModelExchange, token, resources("file://"), &callbacks, fmi2False, fmi2True);
 }
 
 static int begin(fmu_t fmu) {
@@ -47,6 +47,10 @@ static int begin(fmu_t fmu) {
 
 static int advance(fmu_t fmu, double time, double size) {
   return fmi2DoStep(fmu, time, size, fmi2True);
+}
+
+static int look_at(fmu_t fmu, double time) {
+  return fmi2EnterContinuousTimeMode(fmu) || fmi2SetTime(fmu, time);
 }
 
 static int get(fmu_t fmu, const unsigned *reference, size_t count, double *value, size_t n) {
@@ -66,7 +70,9 @@ static void log_line(fmi3InstanceEnvironment environment, fmi3Status status, fmi
   heard(status, category, text);
 }
 
-static fmu_t create(const char *token) {
+static fmu_t create(const char *token, int stepping) {
+  if (!stepping)
+    return fmi3InstantiateModelExchange("one", token, resources(""), fmi3False, fmi3True, NULL, log_line);
   return fmi3InstantiateCoSimulation("one", token, resources(""), fmi3False, fmi3True, fmi3False, fmi3False,
                                      NULL, 0, NULL, log_line, NULL);
 }
@@ -81,6 +87,10 @@ static int advance(fmu_t fmu, double time, double size) {
   double reached;
   return fmi3DoStep(fmu, time, size, fmi3True, &event, &terminate, &early, &reached) || event ||
          terminate || early;
+}
+
+static int look_at(fmu_t fmu, double time) {
+  return fmi3EnterContinuousTimeMode(fmu) || fmi3SetTime(fmu, time);
 }
 
 static int get(fmu_t fmu, const unsigned *reference, size_t count, double *value, size_t n) {

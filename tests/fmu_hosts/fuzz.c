@@ -327,7 +327,7 @@ static void run_blob(fmu_t fmu) {
 
 static void run_blobs(const model_t *m, long count) {
   unsigned char *before;
-  fmu_t fmu = create(m->token);
+  fmu_t fmu = create(m->token, 1);
   called = "state bytes";
   for (long k = 0; k < count; k++) {
     if (k % 500 == 0) { /* the state of another moment */
@@ -354,7 +354,7 @@ int main(int count, char **argument) {
   for (size_t k = 0; k < model.count; k++)
     if (model.reference[k] > greatest) greatest = model.reference[k];
   called = "at the start";
-  fmu_t fresh = create(model.token);
+  fmu_t fresh = create(model.token, 1);
   if (!fresh || begin(fresh)) fail("the FMU does not start");
   study(fresh);
   move(fresh, expected);

@@ -19,7 +19,7 @@ int main(int count, char **argument) {
 #ifdef __GLIBC__
   feenableexcept(FE_DIVBYZERO | FE_INVALID | FE_OVERFLOW);
 #endif
-  fmu_t fmu = create(m.token);
+  fmu_t fmu = create(m.token, 1);
   if (!fmu || begin(fmu)) stop("the FMU does not start");
   for (long k = 0; k <= steps; k++) {
     if (k && advance(fmu, (double)(k - 1) * size, size)) stop("a step failed");
@@ -30,6 +30,10 @@ int main(int count, char **argument) {
   const unsigned none = 4294967295u; /* negative where long has 32 bits */
   if (!get(fmu, &none, 1, value, 1)) stop("there is a value without a variable");
   if (reset(fmu)) stop("no reset");
+  release(fmu);
+  /* a solver may look where sigma is long negative, and is refused at most */
+  if (!(fmu = create(m.token, 0)) || begin(fmu) || look_at(fmu, 1e6)) stop("no Model Exchange");
+  get(fmu, m.reference, m.count, value, m.n_values);
   release(fmu);
   return 0;
 }
