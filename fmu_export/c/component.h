@@ -16,10 +16,6 @@
 
 #include <fenv.h>
 
-#if defined(__GNUC__)
-#pragma GCC diagnostic ignored "-Wunused-function"
-#endif
-
 enum {
   INSTANTIATED = 1,
   INITIALIZATION = 2,
