@@ -24,16 +24,16 @@ typedef struct {
   double state[MAX_STATES], scale[MAX_STATES]; /* errors are measured in 1/scale */
   /* what `rates` reads */
   const double *r0;
-  int forced;
-  const track_t *finger; /* of a forced object whose finger is accelerated */
+  int pushed;
+  const track_t *finger; /* of a pushed object whose finger is accelerated */
   double v[2];
 } motion_t;
 
 /* what is known beforehand at the nodes of a panel */
 typedef struct {
   double sigma[L], decay[L], lam[L], inverse[L][L];
-  double w2[2][L], pushed[2][L]; /* W_2; the finger's acceleration, in its parallel frame */
-  double allowed;                /* error of the panel */
+  double w2[2][L], pushed_1[2][L]; /* W_2; the finger's acceleration, in its parallel frame */
+  double allowed;                  /* error of the panel */
 } nodes_t;
 
 static unit_t *table_of(work_t *w, const body_t *b, int ambient, int table) {
@@ -81,7 +81,7 @@ static lanes_t to_parallel(work_t *w, const track_t *k, const double (*state)[L]
 }
 
 /* whether the last two states are V, with the stiff term -lam V */
-static int has_v(const motion_t *m) { return m->forced && m->track->body->side; }
+static int has_v(const motion_t *m) { return m->pushed && m->track->body->side; }
 
 static const double UNDISTURBED[2] = {0.0, 0.0};
 
@@ -99,11 +99,12 @@ static void to_object(const double *r0, lanes_t w1, lanes_t w2) {
 static void follow_finger(work_t *w, const motion_t *m, const double *t, nodes_t *at) {
   const track_t *k = m->finger;
   double x[MAX_STATES][L];
-  for (int a = 0; a < 2; a++) fill_lanes(at->pushed[a], 0.0), fill_lanes(at->w2[a], m->track->w[a]);
+  for (int a = 0; a < 2; a++)
+    fill_lanes(at->pushed_1[a], 0.0), fill_lanes(at->w2[a], m->track->w[a]);
   if (!k) return;
   panels_at(&k->panels, 0, k->panels.rows, t, x);
   to_object(m->r0, x + state_size(k->ambient), at->w2);
-  copy_rows(at->pushed, to_parallel(w, k, x, k->push), 2);
+  copy_rows(at->pushed_1, to_parallel(w, k, x, k->push), 2);
 }
 
 /* What is known at times t: all but `inverse` and `allowed` */
@@ -140,7 +141,7 @@ static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x,
   unit_t *u = motion_table(w, m);
   lanes_t own = x + n, c = u->r + n; /* W_1 of a finger or V of an object under accelerations */
   for (int a = 0; a < 2; a++) {
-    if (!m->forced)
+    if (!m->pushed)
       EACH_LANE(i) c[a][i] = sigma[i] * (k->w[a] - m->v[a] * at->decay[i]);
     else if (has_v(m))
       EACH_LANE(i) c[a][i] = sigma[i] * (at->w2[a][i] - own[a][i]);
@@ -152,14 +153,14 @@ static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x,
     for (int a = 0; a < 2; a++)
       EACH_LANE(i) c[a][i] += d[a][i];
   }
-  if (!m->forced) return run(u);
+  if (!m->pushed) return run(u);
   copy_rows(u->r, x, n);
   copy_rows(f, run(u), n);
   u = pair_table(w, T_PUSHED, m->r0);
   lanes_t in = u->r + 1; /* accelerations of finger and object */
   copy_rows(u->r, &at->sigma, 1);
   for (int r = 0; r < 4; r++) fill_lanes(in[r], 0.0);
-  if (k->body->side) copy_rows(in, at->pushed, 2);
+  if (k->body->side) copy_rows(in, at->pushed_1, 2);
   if (any(k->push)) copy_rows(in + 2 * k->body->side, to_parallel(w, k, x, k->push), 2);
   copy_rows(f + n, run(u) + 2 * k->body->side, 2);
   return f;
@@ -388,7 +389,7 @@ static double error_at_ends(work_t *w, const motion_t *m, double tau, double hal
   nodes_t at;
   fill_nodes(w, m, t, &at);
   lanes_t in = x;
-  if (!m->forced) copy_rows(in = motion_table(w, m)->r, x, (int)m->n);
+  if (!m->pushed) copy_rows(in = motion_table(w, m)->r, x, (int)m->n);
   const lanes_t found = rates(w, m, &at, in, rows_f);
   for (int64_t r = 0; r < m->n; r++)
     for (int i = 0; i < 2; i++) {
@@ -403,7 +404,7 @@ static double rounding(const motion_t *m, const nodes_t *at, double half, double
   const drive_t *d = m->track->drive;
   const body_t *b = m->track->body;
   double terms = 0.0, most = 0.0;
-  if (!(m->slip > 0) || m->forced) return 0.0;
+  if (!(m->slip > 0) || m->pushed) return 0.0;
   for (int64_t k = d->n_exponent - 1; k >= 0; k--) terms = terms * after + fabs(d->exponent[k]);
   for (int i = 0; i < L; i++) most = fmax(most, at->sigma[i] * at->decay[i]);
   const double scale = b ? 1.0 / b->bend : m->scale[0];
@@ -440,7 +441,7 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
   if (after >= m->length * (1 - 1e-14)) after = m->length;
   const double span = after - tau, half = 0.5 * span;
   double rows_f[MAX_STATES][L], rows_x[MAX_STATES][L], t[L], end[MAX_STATES];
-  lanes_t f = rows_f, x = m->track->body && !m->forced ? motion_table(w, m)->r : rows_x;
+  lanes_t f = rows_f, x = m->track->body && !m->pushed ? motion_table(w, m)->r : rows_x;
   nodes_t at;
   for (int i = 0; i < L; i++) t[i] = tau + half * (1.0 + gauss_node[i]);
   fill_nodes(w, m, t, &at);
@@ -469,7 +470,7 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   const int this = w->spent - w->begun > w->most;
   e->spent = w->spent, e->most = this ? w->spent - w->begun : w->most;
   e->greediest = this ? e->contact : w->greediest;
-  e->by_length = k->by_length, e->pushed = m->forced;
+  e->by_length = k->by_length, e->pushed = m->pushed;
   e->value = k->by_length ? 1.0 : sigma_at(k->drive, s->tau);
   if (k->body) { /* where it stands */
     double place[5] = {m->state[0], m->state[1]};

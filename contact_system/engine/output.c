@@ -279,13 +279,13 @@ static void put_slip(work_t *w, const target_t *to, const contact_t *c, sample_t
 static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t *to, int needs) {
   double *const *out = to->out;
   const int turned = out[SLIP] || out[ACCELERATION];
-  const int forced = m->segment->v_panels != NULL;
-  const int accelerated = out[ACCELERATION] && forced;
+  const int pushed = m->segment->v_panels != NULL;
+  const int accelerated = out[ACCELERATION] && pushed;
   const int slip = turned || out[SLIP_SPEED] || out[TWIST] || out[CARRIED];
   if (slip || out[STATES]) sample_paths(c, m);
   for (int s = 0; s < 2; s++) {
     /* where there is slip, turning it into the contact frame takes the object's theta */
-    const int slides = forced || any(m->segment->v) || any(m->side[1].track->offset);
+    const int slides = pushed || any(m->segment->v) || any(m->side[1].track->offset);
     int more = accelerated ? NEED_STATE : 0;
     if (s && turned && slides) more |= NEED_COORDINATES;
     sample_body(w, m, s, to->count, needs | more);

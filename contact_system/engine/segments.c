@@ -4,7 +4,7 @@
      integrated once in arc length.
    * The object runs on a geodesic too while slip is negligible, on the developed curve W s - V g
      while there is.
-   * Only a contact under an acceleration is integrated with its forcing. */
+   * Only a contact under an acceleration is integrated with it. */
 
 /* Length of a first panel's path at a tolerance of 1e-12, as a part of the geometric mean of the
    body's least radius and its size. With a part of the least radius alone, many contacts on
@@ -210,13 +210,13 @@ static void go_along(course_t *c, const double *w1) {
 
 /* A body under accelerations, and the two states after its own, errors of which are measured in
    1/scale */
-static motion_t forced_motion(course_t *c, int side, const segment_t *s, const double *more,
+static motion_t pushed_motion(course_t *c, int side, const segment_t *s, const double *more,
                               double scale) {
   const drive_t *d = s->drive;
   motion_t m =
       add_motion(c, side, d, PUSHED, s->acting + 2 * side, side ? s->acting + 4 : UNDISTURBED);
   for (int a = 0; a < 2; a++) m.state[m.n + a] = more[a], m.scale[m.n + a] = scale;
-  m.n += 2, m.forced = 1, m.first = first_panel(d, m.length, m.track->body);
+  m.n += 2, m.pushed = 1, m.first = first_panel(d, m.length, m.track->body);
   return m;
 }
 
@@ -231,12 +231,12 @@ static double memory(const drive_t *d) {
 }
 
 /* First the finger, if it is accelerated, with its W_1, then the object with V */
-static void forced(course_t *c, segment_t *s) {
+static void push_contact(course_t *c, segment_t *s) {
   const drive_t *d = s->drive;
   const double *act = s->acting;
   const track_t *finger = NULL;
   if (any(act)) {
-    motion_t m = forced_motion(c, 0, s, c->w1, 1.0);
+    motion_t m = pushed_motion(c, 0, s, c->w1, 1.0);
     finger = carry_out(c, &m);
     s->w1_panels = &finger->panels;
     go_along(c, m.state + m.n - 2);
@@ -246,7 +246,7 @@ static void forced(course_t *c, segment_t *s) {
   for (int k = 0; k < 4; k++) push = fmax(push, fabs(act[k]) * c->c->body[k / 2].size);
   const double grown =
       fmax(push / fmax(d->least, 1e-300) * fmin(d->stop - d->start, memory(d)), 1e-3);
-  motion_t m = forced_motion(c, 1, s, c->v, 1.0 / fmin(fmax(norm(c->v), grown), 1.0));
+  motion_t m = pushed_motion(c, 1, s, c->v, 1.0 / fmin(fmax(norm(c->v), grown), 1.0));
   m.slip = 1.0, m.finger = finger;
   s->v_panels = &carry_out(c, &m)->panels;
   memcpy(c->v, m.state + m.n - 2, sizeof c->v);
@@ -321,7 +321,7 @@ static void plan_segment(course_t *c, int64_t index, double *until) {
     geodesic(c, 0, d, until[0], c->c->row[K_FOLLOWS] > 0 ? FOLLOWING : UNPUSHED);
   }
   if (any(s->acting) || any(s->acting + 2)) {
-    forced(c, s);
+    push_contact(c, s);
     until[1] = d->stop;
   } else if (until[1] <= d->start) {
     until[1] = free_object(c, s, free_until(c, 1, index));
