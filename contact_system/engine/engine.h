@@ -26,13 +26,14 @@ typedef struct {
   const double *literals;
 } table_t;
 
-/* the tables of a body moved in its chart, state u v theta, or in space, state x p */
+/* the tables of a body moved in its chart, state u v theta, or in space, state x p, as
+   theory/development.py defines them: M_ in both, C_ in its chart alone, A_ in space alone */
 enum { IN_CHART, IN_SPACE };
 enum { M_MOTION, M_COORDINATES, M_VECTOR, M_SHAPE, C_FRAME, C_POINT, C_LAME, N_MOVED };
 enum { A_SECOND = C_FRAME, A_RESTORE, A_START };
 /* the tables that only Python asks for */
 enum { GEOMETRY, INVERSE, GEODESIC, N_OTHER };
-/* the tables of a contact, which no surface enters */
+/* the tables of a contact, which no surface enters: `contact_functions` of theory/equations.py */
 enum { T_START, T_POSE, T_TWIST, T_TURNED, T_ACCELERATION, T_PUSHED, N_CONTACT_TABLES };
 
 enum { NO_CLOSED_FORM, GREAT_CIRCLES, DEVELOPABLE };
@@ -62,8 +63,9 @@ enum {
   S_OBJECT,     /* the object, BODY_SIZE numbers */
   S_HEADER = S_OBJECT + 5
 };
-/* a body */
-enum { B_SURFACE, B_NUMBERS /* where they stand */, B_LENGTH, B_BEND, B_REACH, BODY_SIZE };
+/* a body: which surface, where its numbers stand, its size and typical least radius of curvature,
+   m, and how many sizes a panel may span */
+enum { B_SURFACE, B_NUMBERS, B_LENGTH, B_BEND, B_REACH, BODY_SIZE };
 /* a window, what it adds in chart components; slots: acceleration of finger, of object, offset of
    rates */
 enum { W_SLOT, W_START, W_STOP, W_VALUE, WINDOW_SIZE = W_VALUE + 2 };

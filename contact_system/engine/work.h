@@ -18,13 +18,14 @@ typedef struct {
                        |V|/per_metre until it is gone */
   int64_t grows;    /* the law makes up for growth, and sigma grows: decay gets sigma(0)/sigma */
   int64_t n_sigma, n_exponent;
-  const double *sigma, *exponent, *length; /* length: int sigma, one coefficient more */
+  /* polynomials: sigma; L, less what `grows` adds; int sigma, one coefficient more */
+  const double *sigma, *exponent, *length;
 } drive_t;
 
 typedef struct {
   const surface_t *surface;
   const double *numbers;
-  double size, bend, reach; /* m, m, sizes that a panel grows to */
+  double size, bend, reach; /* as B_LENGTH, B_BEND and B_REACH say */
   int side;                 /* 0: the finger, 1: the object */
 } body_t;
 
@@ -44,9 +45,10 @@ typedef struct {
   double w[2];
   const double *push, *offset; /* in chart components */
   panels_t panels; /* of the state, and of W_1 or V after it; of a line int sigma decay */
-  /* great circles: x0, unit velocity along, and the frame against it */
+  /* great circles: x0, unit tangents along and across, cosine and sine of the angle from p to
+     `along`, and rad by length */
   double at[3], along[3], across[3], lean[2], rate;
-  /* lines in a developed chart: begin + along s - aside g + offset tau */
+  /* lines in a developed chart: begin + slope s - aside g + offset tau, g = int sigma decay */
   double begin[3], slope[2], aside[2];
   int far; /* so far that whole turns are taken off in doubled precision */
   /* where the branch of the chart is known: places on the panels, or phases of one revolution */
@@ -57,7 +59,7 @@ typedef struct {
 } track_t;
 
 /* A piece of the horizon, what acts on it in chart components, and the path velocities on it: W_1,
-   W_2 and V decay, where nothing accelerates, else W_1 and V as the last rows of panels. */
+   W_2 and V at its start, or W_1 and V as the last rows of panels where accelerations act. */
 typedef struct {
   const drive_t *drive;
   double acting[6];   /* accelerations of finger and object, rate offset of the object */

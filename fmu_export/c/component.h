@@ -38,7 +38,8 @@ typedef struct {
 /* Everything that changes, and nothing else: the FMU state is a copy of it. No pointers. In memory
    values and segments follow. */
 typedef struct {
-  int phase, stepping, settled;
+  int phase, stepping;
+  int settled; /* segments are those of the inputs and the gain */
   int pending; /* time is at an edge of a window or leg, and values are still those before it */
   int jumped;  /* a window has begun or ended, and the importer does not know */
   int ended;   /* the last step asked for goes beyond sigma's end, or an event was there */
@@ -80,7 +81,7 @@ typedef struct {
   void *environment;  /* the logger's */
   char name[256];
   int uses_events, early_return; /* the importer handles events; and steps that they end early */
-  int changed, follows; /* inputs have in continuous time; and the solver has evaluated that */
+  int changed, follows; /* inputs changed in continuous time; the solver has evaluated that since */
 } component_t;
 
 #define MOST_PANELS 20000.0 /* of one plan: a second of work, kilometres of path */
