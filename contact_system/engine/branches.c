@@ -21,13 +21,18 @@ static lanes_t principal(work_t *w, const track_t *k, const double *x) {
   return run(u);
 }
 
-/* The same at one place; returns not 0 where there are none, at a pole or an umbilic. */
+/* A lane of these; returns not 0 where there are none, at a pole or an umbilic. */
+static int take_lane(const double (*z)[L], int i, double *value) {
+  int none = 0;
+  for (int r = 0; r < N_COORDINATES; r++) value[r] = z[r][i], none |= !isfinite(value[r]);
+  return none;
+}
+
+/* The same at one place */
 static int place_on(work_t *w, const track_t *k, double x, double *value) {
-  double at[L], sum = 0.0;
+  double at[L];
   fill_lanes(at, x);
-  lanes_t z = principal(w, k, at);
-  for (int r = 0; r < N_COORDINATES; r++) value[r] = z[r][0], sum += 0.0 * z[r][0];
-  return sum != 0.0;
+  return take_lane(principal(w, k, at), 0, value);
 }
 
 /* The value by whole periods nearest a reference */
@@ -199,9 +204,7 @@ static void raw_anchors(work_t *w, const track_t *k, int64_t n, const double *at
     gather(x, at + from, n - from < L ? (int)(n - from) : L);
     lanes_t z = principal(w, k, x);
     for (int64_t i = from; i < n && i < from + L; i++) {
-      double sum = 0.0;
-      for (int r = 0; r < N_COORDINATES; r++) raw[i][r] = z[r][i - from], sum += 0.0 * raw[i][r];
-      if (sum == 0.0) continue;
+      if (!take_lane(z, (int)(i - from), raw[i])) continue;
       const double first[N_COORDINATES] = {begin[0], begin[1], 0.0, 0.0, begin[2]};
       memcpy(raw[i], i ? raw[i - 1] : first, sizeof *raw);
     }
@@ -258,8 +261,8 @@ static void anchor_track(work_t *w, track_t *k, const double *begin) {
 typedef struct {
   double before[3], after[3];
   double low, high;
-  int signs, sides, covers; /* whether signs tell; whether sides, covers of the surface differ */
-  int side, cover;          /* of the first */
+  int signs_tell, side, cover; /* side and cover of the first anchor; */
+  int sides_differ, covers_differ;
 } between_t;
 
 /* Between the anchors around a place, `turns` revolutions later */
@@ -271,10 +274,10 @@ static between_t between(const track_t *k, double x, double turns, int64_t *hint
     gap.after[j] = k->anchors[i + 1][j] + turns * k->turn[j];
   }
   const double *a = gap.before, *b = gap.after;
-  gap.signs = !on_seam(a[0], a[1]) && !on_seam(b[0], b[1]);
-  if (!gap.signs) return gap;
-  gap.side = beyond(a[0], a[1]), gap.sides = gap.side != beyond(b[0], b[1]);
-  gap.cover = second_cover(a[1]), gap.covers = gap.cover != second_cover(b[1]);
+  gap.signs_tell = !on_seam(a[0], a[1]) && !on_seam(b[0], b[1]);
+  if (!gap.signs_tell) return gap;
+  gap.side = beyond(a[0], a[1]), gap.sides_differ = gap.side != beyond(b[0], b[1]);
+  gap.cover = second_cover(a[1]), gap.covers_differ = gap.cover != second_cover(b[1]);
   return gap;
 }
 
@@ -283,14 +286,14 @@ static void wind_between(work_t *w, const track_t *k, const between_t *gap, doub
   const surface_t *s = k->body->surface;
   const double *ref = gap->high - x < x - gap->low ? gap->after : gap->before;
   const double u = z[U], v = z[V];
-  if (gap->signs) {
+  if (gap->signs_tell) {
     const int differs = beyond(u, 0.0) != gap->side;
-    if (!differs && !gap->sides && !gap->covers) {
+    if (!differs && !gap->sides_differ && !gap->covers_differ) {
       wind_to(s, gap->cover, ref, z);
       return;
     }
     if (!on_seam(u, v)) {
-      if (!gap->sides) {
+      if (!gap->sides_differ) {
         const mark_t from = {gap->low, side_of(gap->before[0], gap->before[1])};
         wind_along(w, k, from, gap->before, (mark_t){x, side_of(u, v)}, 1, z);
         return;

@@ -79,10 +79,8 @@ static int leave(work_t *w) {
 static int anchor(plan_t *plan, failure_t *failure) {
   work_t own, *const w = enter(plan, &own, failure);
   if (setjmp(w->jump) == 0)
-    for (int64_t i = 0; i < 2 * plan->n_contacts; i++) {
-      contact_t *c = plan->contacts + i / 2;
-      anchor_side(w, c, i % 2, c->n_tracks[i % 2]);
-    }
+    for (contact_t *c = plan->contacts; c < plan->contacts + plan->n_contacts; c++)
+      for (int s = 0; s < 2; s++) anchor_side(w, c, s, c->n_tracks[s]);
   return leave(w);
 }
 

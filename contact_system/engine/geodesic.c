@@ -124,8 +124,8 @@ static void give_up(lines_t *g, const double *error) {
 static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
   double longest = 0.0, error[L];
   for (int i = 0; i < L; i++) longest = fmax(longest, fabs(g->length[i]));
-  double most = g->how->longest / longest;
-  double tau = 0.0, h = fmin(g->how->first / longest, 1.0);
+  const double first = fmin(g->how->first / longest, 1.0);
+  double most = g->how->longest / longest, tau = 0.0, h = first;
   int fresh = 1;
   show(g);
   for (int64_t tries = 0; tau < 1.0; tries++) {
@@ -144,7 +144,7 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
       h *= ratio > 0.2 ? ratio : 0.2;
       if (h > LEAST_STEP) continue;
       give_up(g, error);
-      h = fmin(g->how->first / longest, 1.0), fresh = 1;
+      h = first, fresh = 1;
       continue;
     }
     copy_rows(g->y, g->next, g->rows);

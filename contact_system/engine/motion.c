@@ -19,7 +19,7 @@ enum { MANY = 4096 }; /* panels from one look at how many more it will take to t
 typedef struct {
   track_t *track;
   int64_t n;
-  double length, first, reach;
+  double length, first, reach;    /* of the first panel at a tolerance of 1e-12; as B_REACH says */
   double tolerance, slip, finish; /* slip: |V|, 0 without; it ends where |V| decay <= finish */
   double state[MAX_STATES], scale[MAX_STATES]; /* errors are measured in 1/scale */
   /* what `rates` reads */
@@ -206,7 +206,7 @@ static double longest(const motion_t *m, double tau, double h, double steepest) 
   const drive_t *d = m->track->drive;
   if (m->slip <= 0) return h;
   const double first = gain_at(d, tau), lost = lost_at(d, tau);
-  if (lost > 40.0) return h;
+  if (lost > 40.0) return h; /* decay is below rounding */
   if (first * h > steepest) h = 0.99 * steepest / first;
   for (int k = 0; k < 60; k++) {
     const double lam = fmax(first, (lost_at(d, tau + h) - lost) / h);
@@ -242,13 +242,11 @@ static void invert_implicit(const double *lam, double half, double (*a)[L]) {
 static void first_guess(const motion_t *m, const step_t *s, double span, const double *out,
                         lanes_t x) {
   const double ratio = span / s->span;
-  double xi[L];
-  if (s->known == LAST_PANEL && ratio <= 2.0) {
-    for (int i = 0; i < L; i++) xi[i] = 1.0 + ratio * (1.0 + gauss_node[i]);
-    series_at(out - m->n * TERMS, m->n, xi, x);
-  } else if (s->known == REFUSED_PANEL && ratio <= 1.0) {
-    for (int i = 0; i < L; i++) xi[i] = -1.0 + ratio * (1.0 + gauss_node[i]);
-    series_at(out, m->n, xi, x);
+  const int last = s->known == LAST_PANEL && ratio <= 2.0;
+  if (last || (s->known == REFUSED_PANEL && ratio <= 1.0)) {
+    double xi[L];
+    for (int i = 0; i < L; i++) xi[i] = (last ? 1.0 : -1.0) + ratio * (1.0 + gauss_node[i]);
+    series_at(last ? out - m->n * TERMS : out, m->n, xi, x);
   } else {
     for (int64_t r = 0; r < m->n; r++) fill_lanes(x[r], m->state[r]);
   }

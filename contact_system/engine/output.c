@@ -117,9 +117,10 @@ static void sample_body(work_t *w, sample_t *m, int s, int n, int needs) {
     state = far;
   }
   if (k->ambient) copy_rows(a->frame, state, needs & NEED_FRAME ? 6 : 3);
-  if (needs & NEED_FRAME)
-    k->ambient ? copy_rows(a->frame + 6, run(table_at(w, k, A_SECOND, state)), 3)
-               : copy_rows(a->frame, run(table_at(w, k, C_FRAME, state)), 9);
+  if (needs & NEED_FRAME && k->ambient)
+    copy_rows(a->frame + 6, run(table_at(w, k, A_SECOND, state)), 3);
+  else if (needs & NEED_FRAME)
+    copy_rows(a->frame, run(table_at(w, k, C_FRAME, state)), 9);
   else if (needs & NEED_POINT && !k->ambient)
     copy_rows(a->frame, run(table_at(w, k, C_POINT, state)), 3);
   if (needs & NEED_SHAPE) copy_rows(a->shape, run(table_at(w, k, M_SHAPE, state)), 3);
@@ -387,14 +388,12 @@ static int place_on_track(work_t *w, const contact_t *c, const track_t *k, doubl
                           double *place) {
   const int side = k->body->side;
   sample_t m;
-  double sum = 0.0;
   sample_at(c, t, &m);
   m.side[side].track = k;
   sample_body(w, &m, side, 1, NEED_COORDINATES);
-  const int rows[3] = {U, V, THETA};
-  for (int j = 0; j < 3; j++)
-    place[j] = m.side[side].coordinates[rows[j]][0], sum += 0.0 * place[j];
-  return sum != 0.0;
+  const double (*z)[L] = m.side[side].coordinates;
+  place[0] = z[U][0], place[1] = z[V][0], place[2] = z[THETA][0];
+  return !(isfinite(place[0]) && isfinite(place[1]) && isfinite(place[2]));
 }
 
 /* Anchors the first n tracks of a side, each from where the one before it ends. */

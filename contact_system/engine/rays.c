@@ -23,12 +23,11 @@ static void look_along(rays_t *r) {
    NaN where no point is found. */
 static void trace(rays_t *r, double size) {
   const double farthest = ldexp(size, DOUBLINGS);
-  double low[L], high[L], step[L];
+  double low[L] = {0}, high[L], step[L];
   int out[L], going = 1;
   fill_lanes(r->t, 0.0), look_along(r);
   for (int i = 0; i < L; i++) out[i] = !(r->value[i] < 0.0);
-  fill_lanes(r->t, size), fill_lanes(low, 0.0), fill_lanes(high, HUGE_VAL),
-      fill_lanes(step, HUGE_VAL);
+  fill_lanes(r->t, size), fill_lanes(high, HUGE_VAL), fill_lanes(step, HUGE_VAL);
   for (int k = 0; k < MOST_TRIALS && going; k++) {
     look_along(r), going = 0;
     for (int i = 0; i < L; i++) {
