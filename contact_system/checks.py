@@ -249,9 +249,11 @@ def flag(value: Any, what: str) -> bool:
 def a_path(value: Any, what: str = "path") -> Path:
     """The value as a Path; raises a SceneError if it does not name a file."""
     try:
-        return Path(os.fsdecode(value))
-    except TypeError:
-        raise SceneError(f"{what} = {value!r:.80}: give a path") from None
+        path = os.fsdecode(value)
+        os.fsencode(path)
+    except (TypeError, UnicodeError):
+        raise SceneError(f"{what} = {value!r:.80}: give a path that can name a file") from None
+    return Path(path)
 
 
 def items_of(values: Any) -> tuple:
@@ -262,7 +264,7 @@ def items_of(values: Any) -> tuple:
 def make_folder(path: Path, remedy: str) -> Path:
     """The folder, made if it is missing; raises a ContactSystemError with the remedy."""
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        a_path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ContactSystemError(f"no folder '{path}': {error.strerror}; {remedy}") from None
     return path

@@ -273,7 +273,7 @@ def test_a_file_is_replaced_by_what_is_valid_alone(tmp_path, monkeypatch):
         ("arrays", True, "FMI 2.0 has none; choose FMI 3.0"),
         ("fmi_version", "1.0", "give a text, one of"),
         *(("progress", x, "give a ") for x in (3, True)),
-        *(("path", x, "give a path") for x in (None, K1)),
+        *(("path", x, "give a path") for x in (None, K1, "\ud800")),
     ],
 )
 def test_options_of_the_wrong_kind_are_refused(option, wrong, words, tmp_path):
