@@ -11,7 +11,7 @@ try:
     import pydrake  # noqa: F401
 except ImportError as error:
     raise ImportError(
-        'drake_plant needs Drake: pip install "contact-system[drake]" (Linux and macOS)'
+        f'drake_plant needs Drake: pip install "contact-system[drake]" (Linux, macOS): {error}'
     ) from error
 
 if TYPE_CHECKING:

@@ -35,9 +35,9 @@ from .sliders import Place, Slider, adjusted, sliders_of
 
 try:
     import viser
-except ImportError:
+except ImportError as error:
     raise ContactSystemError(
-        'the explorer needs viser: pip install "contact-system[explore]"'
+        f'the explorer needs viser: pip install "contact-system[explore]" ({error})'
     ) from None
 
 HOST = "127.0.0.1"  # this machine only, as the page can write files

@@ -119,8 +119,8 @@ def Picture(path: str | os.PathLike[str], size: tuple[float, float], dpi: int) -
         import matplotlib
         from matplotlib.backend_bases import FigureCanvasBase
         from matplotlib.figure import Figure
-    except ImportError:
-        remedy = 'pictures need matplotlib: pip install "contact-system[plot]"'
+    except ImportError as error:
+        remedy = f'pictures need matplotlib: pip install "contact-system[plot]" ({error})'
         raise MissingMatplotlib(remedy) from None
     ending = path.suffix[1:].lower()
     if ending not in FigureCanvasBase.get_supported_filetypes():
