@@ -337,7 +337,7 @@ def test_numeric_methods_are_vectorised_over_leading_axes(name):
         (lambda: Quadric(np.eye(2)), ["(2, 2)"]),
         (lambda: Quadric([[1, 2, 0], [0, 1, 0], [0, 0, 1]]), ["symmetric", "(A + A.T)/2"]),
         (lambda: Quadric(np.diag([1, np.nan, 1])), ["finite"]),
-        (lambda: Quadric("A"), ["'A'", "3 by 3 matrix of numbers"]),
+        (lambda: Quadric("A"), ["'A'", "numbers in a 3 by 3 matrix"]),
         (lambda: Quadric(np.eye(3), sheet=-1), ["sheet = -1", "one piece"]),
         (lambda: Sphere(1).coordinates([1.0, 2.0]), ["last axis"]),
         (lambda: Sphere(1).coordinates([1.0, 2.0, np.nan]), ["finite"]),

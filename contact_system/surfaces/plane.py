@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 from ..theory import symbols as ca
@@ -29,6 +30,7 @@ def is_plane(body: Surface) -> bool:
     return issubclass(body.chart, FlatChart)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Plane(Surface):
     """The plane z = 0, body below; chart (u, v, 0), coordinates in m."""
 

@@ -182,7 +182,7 @@ class Quadric(Surface):
 
 
 def _symmetric(value: Any) -> Array:
-    remedy = "a 3 by 3 matrix of numbers"
+    remedy = "numbers in a 3 by 3 matrix"
     matrix = shaped_array(value, "Quadric: A", (3, 3), SurfaceError, remedy, finite=True)
     if np.max(np.abs(matrix - matrix.T)) > 1e-15 * np.max(np.abs(matrix)):
         raise SurfaceError(
