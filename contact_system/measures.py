@@ -79,9 +79,9 @@ class Rejection:
     since : float
         End of the contact's last disturbance, or start of the plan if there is none [s].
     time : float
-        Time from `since` until slip falls below 5 % of its value there for good [s]; of its peak
-        afterwards, where a path starts from rest. inf if it is above at the end, nan if there is
-        no slip.
+        Time from `since` until slip falls below 5 % of its value there for good [s], of that just
+        before a window ends; of its peak afterwards, where a path starts from rest. inf if it is
+        above at the end, nan if there is no slip.
     reported : float
         Rejection time that the paper reports [s]; nan if it reports none, or if it comes from a
         dynamic simulation, as a plan has no contact physics.
@@ -203,10 +203,10 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
     -------
     dict
         ``slip_start``, ``slip_peak``, ``slip_end`` : (n_contacts,), m/s; the peak is the greatest
-        of 100 equally spaced times. ``recovery`` : (n_contacts,), s, the time from the end of the
-        contact's last disturbance (or the start) until slip stays below 5 % of its value there (of
-        its peak, where that is 0), interpolated between those times; inf if it stays above, nan if
-        there is no slip.
+        at 100 equally spaced times and at the ends of disturbances. ``recovery`` : (n_contacts,),
+        s, the time from the end of the contact's last disturbance (or the start) until slip stays
+        below 5 % of its value there, just before a window ends (of its peak, where that is 0),
+        interpolated between those times; inf if it stays above, nan if there is no slip.
         ``state_end`` : (n_contacts, 9), as :meth:`Plan.states`; where a contact ends at a pole, of
         a moment before, 1e-8 of the horizon.
 

@@ -35,7 +35,8 @@ class Loop(Route):
         object, rad, positive for curves counterclockwise about the normal. They equal the areas
         that the normals enclose on the unit sphere, up to multiples of 4 pi.
     gauss_bonnet : float
-        Difference between the change of psi and minus the sum of these, rad: 0 by Gauss and Bonnet.
+        Difference between the change of psi and minus the sum of these, rad, without whole turns:
+        0 by Gauss and Bonnet.
     """
 
     angle: float
