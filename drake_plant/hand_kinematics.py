@@ -122,6 +122,7 @@ class Chains:
 
     def __init__(self, hand: Hand, scene: Scene, tip_mass: float, gravity: float):
         self.scene, self.hand = scene, hand
+        self._made_from = hand, scene, tip_mass, gravity
         self.plant = plant = MultibodyPlant(0.0)
         self.tips = []
         for i, contact in enumerate(scene.contacts):
@@ -141,6 +142,9 @@ class Chains:
         self._find_joints()
         self._probes = probes_of(scene)
         self._pads = [c.finger.normal(*c.finger_at) for c in scene.contacts]
+
+    def __reduce__(self) -> tuple:
+        return Chains, self._made_from
 
     def _find_joints(self) -> None:
         plant, size = self.plant, self.plant.num_positions()

@@ -44,6 +44,7 @@ class ShortestPath:
     """
 
     def __init__(self, X_WO: RigidTransform, X_WO_goal: RigidTransform, start: float, stop: float):
+        self._made_from = X_WO, X_WO_goal, start, stop
         self._way = PiecewisePose.MakeLinear([0.0, 1.0], [X_WO, X_WO_goal])
         self._twist = self._way.GetVelocity(0.5)
         T = stop - start
@@ -51,6 +52,9 @@ class ShortestPath:
         part = PiecewisePolynomial([np.array([[pace]])], [start, stop])  # of the way, 0 to 1
         self._part, self._rate, self._change = (part.derivative(k) for k in range(3))
         self.start_time, self.end_time = part.start_time, part.end_time
+
+    def __reduce__(self) -> tuple:
+        return ShortestPath, self._made_from
 
     def GetPose(self, t: float) -> RigidTransform:
         return self._way.GetPose(self._part.value(t).item())

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import pickle
 import re
 from types import SimpleNamespace
 
@@ -36,8 +37,7 @@ def test_fingers_of_a_plan_roll_and_press_as_the_object_needs(name):
     scene = cs.load_scene(name)
     plan = made(scene)
     assert plan.slip.max() < 1e-8  # by contact_system's own sensor
-    turned = RotationMatrix(plan.object_pose[-1, :3, :3]).ToAngleAxis().angle()
-    assert turned == pytest.approx(math.radians(35.9), abs=1e-2)
+    assert np.trace(plan.object_pose[-1]) == pytest.approx(2 + 2 * np.cos(0.6266), abs=0.01)
     weight = plan.config.object_mass * plan.config.gravity
     np.testing.assert_allclose(plan.forces.sum(axis=1), [[0, 0, weight]] * len(plan.t), atol=1e-6)
     assert plan.cones.max() <= 0.8 + 1e-6
@@ -120,7 +120,7 @@ def test_a_model_of_a_hundredth_of_the_mass_moves_as_the_own_hand(tmp_path, monk
     light["hand"] |= {"model": "package://light/mine.sdf", "base": [0, 0, -0.13]}
     plan = made(H2.replace(contacts=contacts), **light)
     np.testing.assert_allclose(plan.q, made(contact_model="point").q, atol=1e-6)
-    told = hand_report(simulate(plan.scene, duration=0.3))
+    told = hand_report(pickle.loads(pickle.dumps(simulate(plan.scene, duration=0.3))))
     assert told.off.max() < 1e-5 and told.slipped.max() < 1e-4 and not told.lost.any()
 
 
