@@ -88,8 +88,8 @@ def balancing_forces(
         that is not in 0 to 1.
     """
     points = shaped_array(points, "points", finite=True)
-    if points.ndim != 3 or points.shape[2] != 3:
-        raise SceneError(f"points has shape {points.shape}; give (times, contacts, 3)")
+    if points.ndim != 3 or points.shape[2] != 3 or not points.size:
+        raise SceneError(f"points has shape {points.shape}; give (times, contacts, 3), none of 0")
     times, count, _ = points.shape
     normals = shaped_array(normals, "normals", points.shape)
     force, torque = (
