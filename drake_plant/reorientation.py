@@ -200,6 +200,7 @@ def plan_reorientation(
         return plan
 
 
+@np.errstate(under="ignore")  # the spacing of doubles at t = 0 underflows
 def _rolled(chains: Chains, path: Any) -> tuple[Array, Array, Array]:
     """Times, joints that roll along, and their velocities, (m, nq), until the object rests."""
     scene, X = chains.scene, path.GetPose(path.start_time())

@@ -86,6 +86,7 @@ def MakeTrajectories(plan: Plan, contact: int = 0, tolerance: float = 1e-5) -> C
     return ContactTrajectories(plan, contact, tolerance, pose, twist, *points)
 
 
+@np.errstate(under="ignore")  # of slopes that rounding leaves
 def _fitted(
     plan: Plan, contact: int, span: tuple[float, float], tolerance: float
 ) -> tuple[Array, Array, PiecewisePolynomial]:
