@@ -124,7 +124,7 @@ class Quadric(Surface):
             *((1.0, 1.0, 0), (1.0, 0.8, 0), (1.0, -0.8, 0), (1.0, 0, 0)),
         )
     )
-    A: tuple[tuple[float, float, float], ...]
+    A: Any  # kept as tuples
     sheet: int = field(default=1, kw_only=True)
 
     def __post_init__(self) -> None:
