@@ -5,8 +5,11 @@
    that geodesics of any lengths share their steps. */
 
 enum { FIELDS = 4, MOST_ROWS = 6 + FIELDS, SHOWN = 9 + FIELDS, SAMPLED = 4 };
-static const double LEAST_STEP = 1e-9; /* of the length; what needs less cannot be followed */
-enum { MOST_STEPS = 100000 };
+enum { MOST_STEPS = 100000, MOST_BRIEF = 1000 };
+/* Shortest step, of the length, and its greatest error. Such steps pass jumps of the curvature;
+   what needs less, as near a pole of a chart, or more than MOST_BRIEF steps below BRIEF, as near
+   the edge of one, cannot be followed: lanes whose error is then above EASY. */
+static const double LEAST_STEP = 1e-15, JUMP = 1e-8, BRIEF = 1e-6, EASY = 1e-3;
 
 typedef struct {
   const geodesic_t *how;
@@ -112,9 +115,9 @@ static void sample(const lines_t *g, double tau, double h, int64_t m, int64_t n,
 }
 
 /* Gives up lanes that cannot be followed: they stand still from here on. */
-static void give_up(lines_t *g, const double *error) {
+static void give_up(lines_t *g, const double *error, double allowed) {
   for (int i = 0; i < L; i++) {
-    if (error && error[i] <= 1.0) continue;
+    if (error && error[i] <= allowed) continue;
     g->length[i] = 0.0, g->lost[i] = 1;
     for (int r = 0; r < g->rows; r++)
       if (!isfinite(g->y[r][i])) g->y[r][i] = 0.0;
@@ -126,10 +129,10 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
   for (int i = 0; i < L; i++) longest = fmax(longest, fabs(g->length[i]));
   const double first = fmin(g->how->first / longest, 1.0);
   double most = g->how->longest / longest, tau = 0.0, h = first;
-  int fresh = 1;
+  int fresh = 1, brief = 0;
   show(g);
   for (int64_t tries = 0; tau < 1.0; tries++) {
-    if (tries == MOST_STEPS) give_up(g, NULL), most = INFINITY, h = fresh = 1;
+    if (tries == MOST_STEPS) give_up(g, NULL, 0.0), most = INFINITY, h = fresh = 1;
     h = fmin(h, most);
     const int last = tau + 1.001 * h >= 1.0;
     if (last) h = 1.0 - tau;
@@ -137,13 +140,18 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
     try_step(g, h, error);
     double worst = 0.0;
     for (int i = 0; i < L; i++)
-      if (!g->lost[i]) worst = error[i] <= worst ? worst : error[i]; /* NaN stays */
-    fresh = worst <= 1.0;
-    const double ratio = 0.9 * pow(worst < 1e-30 ? 1e-30 : worst, -1.0 / 8); /* NaN stays */
+      if (!g->lost[i]) worst = fmax(worst, isnan(error[i]) ? HUGE_VAL : error[i]);
+    /* longer after many: x does not change in steps that are too short for its last digit */
+    const int shortest = h <= ldexp(LEAST_STEP, brief / 64) || brief > MOST_BRIEF;
+    const double allowed = brief > MOST_BRIEF ? EASY
+                           : shortest         ? fmax(JUMP / g->tolerance, 1.0)
+                                              : 1.0;
+    fresh = worst <= allowed;
+    const double ratio = 0.9 * pow(fmax(worst, 1e-30), -1.0 / 8);
     if (!fresh) {
-      h *= ratio > 0.2 ? ratio : 0.2;
-      if (h > LEAST_STEP) continue;
-      give_up(g, error);
+      h *= fmax(ratio, 0.2);
+      if (!shortest) continue;
+      give_up(g, error, allowed);
       h = first, fresh = 1;
       continue;
     }
@@ -156,6 +164,7 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
     show(g);
     if (path) sample(g, tau, h, m, n, count, path);
     tau = last ? 1.0 : tau + h;
+    brief = h < BRIEF ? brief + 1 : 0;
     h *= fmin(ratio, 6.0);
   }
 }

@@ -77,9 +77,9 @@ class Geodesic:
         ends = Follower(self.surface)(start, lengths, SHARP)
         if not np.isfinite(ends).all():
             raise SurfaceError(
-                f"{self.surface!r}: the geodesic is too long, or passes a point without a contact "
-                "frame, such as a pole; ask for less than thousands of sizes, move an end a "
-                "little, or write the surface as an ImplicitSurface"
+                f"{self.surface!r}: the geodesic is too long, or comes to an edge or a pole of the "
+                "chart; ask for less than thousands of sizes, move an end a little, or write the "
+                "surface as an ImplicitSurface"
             )
         return ends
 
