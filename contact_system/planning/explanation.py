@@ -167,8 +167,10 @@ def _ended_early(scene: Scene, failure: Failure, surface: Surface) -> str:
     if failure.code == STUCK and not why:
         why = at_rest or (
             "the path reaches a singular point of its chart or its surface, or it is so fast, or "
-            "so far from the body's origin, that rounding exceeds the tolerance; start elsewhere, "
-            "change the direction, end the scene before or give a greater tolerance"
+            "so far from the body's origin, or terms of its formula cancel so far, as on thin "
+            "bodies with turned axes, that rounding exceeds the tolerance; start elsewhere, change "
+            "the direction, end the scene before, give a greater tolerance, or write the formula "
+            "in the body's principal axes (or as a Quadric)"
         )
     if why:
         return f"the motion cannot be continued past {reached}: {why}"
