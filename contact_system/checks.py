@@ -19,6 +19,7 @@ from . import limits
 from .errors import ContactSystemError, SceneError
 
 Array = NDArray[np.float64]
+FLOAT = np.dtype(float)
 LARGEST = 1e100  # beyond this sigma^3 overflows
 
 
@@ -194,6 +195,8 @@ def real_array(values: Any) -> np.ndarray:
     texts, booleans, complex numbers and None, which numpy would convert, and for masked numbers,
     whose mask it would drop.
     """
+    if type(values) is np.ndarray and values.dtype is FLOAT:
+        return values
     array = np.asarray(values)
     if isinstance(values, np.ndarray) and np.any(getattr(values, "mask", False)):
         raise TypeError
