@@ -87,10 +87,12 @@ class Scene:
     drake: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        with naming(self.title):
+        try:  # not `naming`: a context manager would cost as much as the checks
             self._check_parts()
             self._check_motion()
             self._place_contacts()
+        except ContactSystemError as error:
+            raise SceneError(f"{self.title}: {error}") from None
 
     def contraction(self) -> Contraction:
         """Intervals on which slip shrinks, and the least eta for which it shrinks throughout.
