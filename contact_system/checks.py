@@ -61,30 +61,6 @@ def require_regular(path: str | os.PathLike[str]) -> None:
         )
 
 
-@contextmanager
-def opened_archive(path: str | os.PathLike[str], what: str) -> Iterator[Any]:
-    """The zip archive, for reading; `what` says in errors which file is expected.
-
-    Raises a ContactSystemError for no regular file, or no archive; also for what is found damaged
-    or encrypted while reading.
-    """
-    import zipfile  # slow to import
-
-    try:
-        require_regular(path)
-        with zipfile.ZipFile(path) as archive:
-            yield archive
-    except ContactSystemError as error:
-        text = str(error)
-        raise ContactSystemError(text if str(path) in text else f"{path}: {text}") from None
-    except OSError as error:
-        why = error.strerror or error
-        raise ContactSystemError(f"{path} cannot be read: {why}; give {what}") from error
-    except Exception as error:  # zipfile, zlib and codecs raise a dozen kinds
-        why = str(error) or type(error).__name__
-        raise ContactSystemError(f"{path}: not {what}, or damaged: {why}; give another") from error
-
-
 def did_you_mean(word: object, known: Iterable[str]) -> str:
     """ " (did you mean '...'?)" with the nearest known word; empty if none is near."""
     by_lower = {k.lower(): k for k in known}

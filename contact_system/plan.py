@@ -14,15 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import (
-    a_path,
-    finite_number,
-    of_kind,
-    one_of,
-    opened_archive,
-    shaped_array,
-    whole_number,
-)
+from .checks import a_path, finite_number, of_kind, one_of, shaped_array, whole_number
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .planning.motion import SHAPES, Motion
 from .planning.starts import Starts, measured_start, on_branch
@@ -476,10 +468,11 @@ def load(path: str | os.PathLike[str]) -> Plan:
         The file cannot be read, is not such a plan, is damaged, or exceeds a limit of
         `contact_system.limits`.
     """
-    from .planning.saved import PLAN_FILE, inputs_of  # archives are slow to import
+    from .archives import opened  # archives are slow to import
+    from .planning.saved import PLAN_FILE, inputs_of
 
     path = a_path(path)
     if path.suffix == ".toml":
         raise ContactSystemError(f"{path} is a scene file: give it to load_scene, or a plan's .npz")
-    with opened_archive(path, PLAN_FILE) as archive:
+    with opened(path, PLAN_FILE) as archive:
         return Plan(**inputs_of(archive, str(path)))

@@ -25,7 +25,8 @@ from fmpy.simulation import (
     settable_in_instantiated,
 )
 
-from contact_system.checks import Array, a_path, did_you_mean, opened_archive, within
+from contact_system.archives import opened
+from contact_system.checks import Array, a_path, did_you_mean, within
 from contact_system.errors import ContactSystemError
 
 from .fmu_contents import PortVariables, carried, library_of, read_description, size_of
@@ -105,7 +106,7 @@ class Instance:
         if not path.exists():
             raise ContactSystemError(f"there is no {path}: give an FMU or its folder")
         self._made_folder = tempfile.mkdtemp(prefix="fmu-")
-        with opened_archive(path, "an FMU") as archive:
+        with opened(path, "an FMU") as archive:
             total = sum(member.file_size for member in archive.infolist())
             within("FMU_BYTES", total, "bytes when unpacked", ContactSystemError)
             archive.extractall(self._made_folder)  # inside of it, whatever the names

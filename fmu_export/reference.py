@@ -12,7 +12,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 
-from contact_system.checks import opened_archive
+from contact_system.archives import opened
 from contact_system.errors import ContactSystemError
 from contact_system.plan import plan
 from contact_system.scene import Scene
@@ -61,7 +61,7 @@ def check_fmu(path: str | os.PathLike[str], bar: float = 1e-10) -> float:
     ContactSystemError
         It is greater than the bar, or there are no reference results.
     """
-    with opened_archive(path, "an FMU with reference results") as archive:
+    with opened(path, "an FMU with reference results") as archive:
         text = archive.read(RESULTS_FILE).decode()
     names, *rows = (line.split(",") for line in text.splitlines())
     wanted = np.array(rows, dtype=float)
