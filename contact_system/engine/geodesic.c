@@ -6,9 +6,10 @@
 
 enum { FIELDS = 4, MOST_ROWS = 6 + FIELDS, SHOWN = 9 + FIELDS, SAMPLED = 4 };
 enum { MOST_STEPS = 100000, MOST_BRIEF = 1000 };
-/* Shortest step, of the length, and its greatest error. Such steps pass jumps of the curvature;
-   what needs less, as near a pole of a chart, or more than MOST_BRIEF steps below BRIEF, as near
-   the edge of one, cannot be followed: lanes whose error is then above EASY. */
+/* Steps are LEAST_STEP of the length or longer. Steps so short pass a jump of the curvature, with
+   an error of JUMP at most. A lane is given up if it needs a shorter step, as near a pole of a
+   chart; or if after MOST_BRIEF steps below BRIEF, as near the edge of a chart, its error is not
+   below EASY times the tolerance. */
 static const double LEAST_STEP = 1e-15, JUMP = 1e-8, BRIEF = 1e-6, EASY = 1e-3;
 
 typedef struct {
@@ -141,7 +142,8 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
     double worst = 0.0;
     for (int i = 0; i < L; i++)
       if (!g->lost[i]) worst = fmax(worst, isnan(error[i]) ? HUGE_VAL : error[i]);
-    /* longer after many: x does not change in steps that are too short for its last digit */
+    /* After 64 brief steps the shortest is twice as long, and so on: it may be too short to change
+       the last digit of x. */
     const int shortest = h <= ldexp(LEAST_STEP, brief / 64) || brief > MOST_BRIEF;
     const double allowed = brief > MOST_BRIEF ? EASY
                            : shortest         ? fmax(JUMP / g->tolerance, 1.0)

@@ -156,6 +156,9 @@ class Search:
             r, j = self.pairs.b[k].T - end[:3], end[9]
             away = np.sqrt(np.einsum("ij,ij->j", r, r))
             along, aside = (np.einsum("ij,ij->j", r, w) for w in (end[3:6], end[6:9]))
+            # hardly any of the way left is along the surface: b is beyond the rim of a thin body
+            over = (along**2 + aside**2 < 0.1 * away**2) & (away > NEAR * self.follow.detail)
+            along = np.where(over, np.maximum(away, self.follow.detail), along)
             turn = aside * j / (j**2 + (1e-12 * size) ** 2)
             turn = np.maximum(np.minimum(turn, 0.5), -0.5)
             half, grown = 0.5 * s[active], self.growth(j)
