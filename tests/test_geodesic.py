@@ -216,6 +216,13 @@ def test_refusals(surface, a, b, says):
         cs.geodesic(surface, a, b)
 
 
+def test_a_line_over_the_rim_of_a_thin_disk_is_as_long_as_back():
+    disk = cs.Ellipsoid(0.1, 0.07, 0.0003)
+    a, b = (disk.coordinates(x) for x in ([0.0533, -0.0011, -0.0003], [-0.0696, -0.0502, 7e-6]))
+    there, back = cs.geodesic(disk, a, b).length, cs.geodesic(disk, b, a).length
+    assert there == pytest.approx(back, rel=1e-9) and there < 0.14
+
+
 def test_refusals_of_what_else_is_asked():
     with pytest.raises(cs.SurfaceError, match="most = 0"):
         cs.geodesics(ELLIPSOID, (1, 1), (2, 1), 0)
