@@ -11,13 +11,15 @@ The rates are the forward map of the measured twist.
 
 from __future__ import annotations
 
+import ctypes
+import functools
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import rigid_motion, shaped_array
-from .engine.binding import Machine, run
+from .engine.binding import Machine, Sensor, run, sense
 from .errors import ChartSingularity, ConformalContact, ContactSystemError
 from .scene import Scene, require_scene
 from .surfaces import SINGULAR, ParametricSurface, Surface
@@ -105,7 +107,8 @@ def probes_of(scene: Scene, tolerance: float = 1e-13) -> list[Probe]:
     small = tolerance * min(sizes)
     # steps shrink quadratically: a step that stays above is rounding, as of a far larger body
     settled = max(SETTLED * small, 1e-15 * max(sizes))
-    return [Probe(finger, obj, small, settled) for finger in fingers]
+    limits = Sensor(small, MOST_STEPS, settled, CONFORMAL)
+    return [Probe(finger, obj, limits) for finger in fingers]
 
 
 class Probe:
@@ -123,18 +126,17 @@ class Probe:
         u2' v2' psi, principal values; v_rel in E2, m/s; x_1 on the finger and x_2 on the object,
         each in its body's frame, m; E2, column by column, in the object's frame; K_2, K_1 in E2,
         1/m; distance along the normal, negative where the bodies overlap, m.
-    small, settled : float
-        Length of a step at which Newton's method ends, and of the longest accepted last step, m.
+    limits : Sensor
+        When Newton's method ends, and the longest accepted last step, m.
     """
 
-    def __init__(self, finger: Surface, obj: Surface, small: float, settled: float):
+    def __init__(self, finger: Surface, obj: Surface, limits: Sensor):
         numbers = *finger.numbers, finger.size, *obj.numbers, obj.size
-        machine = Machine(measurement(finger, obj), numbers)
+        self._machine = machine = Machine(measurement(finger, obj), numbers)
         n = len(machine.point) - SEEN
-        self.seen, self.found = machine.point[n:], machine.results[n:]
-        self._pose = self.seen[:12].reshape(3, 4)
-        self._x, self._ahead = machine.point[:n], machine.results[:n]
-        self._run, self.small, self.settled = machine.run, small, settled
+        self._x, self.seen, self.found = *np.split(machine.point, [n]), machine.results[n:]
+        self._pose, self.limits = self.seen[:12].reshape(3, 4), limits
+        self._sense = functools.partial(sense, *machine.addresses, n, ctypes.byref(limits))
         self._surfaces = finger, obj
         self._in_space = not any(isinstance(s, ParametricSurface) for s in self._surfaces)
         self._x[:] = np.nan  # no last measurement
@@ -144,7 +146,7 @@ class Probe:
 
         point, of_finger : (3,), in the object's frame and, if known, in the finger's
         """
-        x, found, run, small = self._x, self.found, self._run, self.small
+        x, found = self._x, self.found
         if of_finger is None:
             of_finger = (point - self._pose[:, 3]) @ self._pose[:, :3]
         if self._in_space:
@@ -153,16 +155,7 @@ class Probe:
             n = 2 if isinstance(self._surfaces[0], ParametricSurface) else 3
             near = zip(self._surfaces, (of_finger, point), np.split(x, [n]))
             x[:] = np.concatenate([_unknowns(surface, np.array(p), q) for surface, p, q in near])
-        run()
-        first = found[RELATIVE]
-        for _ in range(MOST_STEPS):
-            if not found[STEP] > small:  # small, or NaN without a contact frame
-                break
-            x[:] = self._ahead
-            run()
-        # where bodies conform, steps may lead to places where they do not
-        if abs(first) <= CONFORMAL and not found[STEP] <= small:
-            found[RELATIVE] = first
+        self._sense()
         if not self._in_space:
             for at, surface in zip((found[2:4], found[6:8]), self._surfaces):
                 if isinstance(surface, ParametricSurface):
@@ -177,7 +170,7 @@ class Probe:
                 f"{what}: the surfaces conform to each other at the contact, so a twist does "
                 "not determine where they touch; change a radius or a surface"
             )
-        if found[STEP] > self.settled:
+        if found[STEP] > self.limits.settled:
             raise ContactSystemError(
                 f"{what}: no common normal of the surfaces was found, the next step is "
                 f"{found[STEP]:.3g} m; give a point nearer to the contact"

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from contact_system import __version__
-from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, probes_of
-from contact_system.engine.binding import N_MOVED, SURFACES
+from contact_system.contact_sensor import probes_of
+from contact_system.engine.binding import N_MOVED, SURFACES, Sensor
 from contact_system.planning.motion import Buffer
 from contact_system.surfaces import Ellipsoid, Surface, Torus
 
@@ -75,8 +75,7 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
     for i, contact in enumerate(scene.contacts):
         orders += _orders(contact.finger, table.first[f"finger {i}"])
         corners |= {stretch.start for stretch in scene.way(i)[1:]}
-    probe = probes_of(scene)[0] if table.measured == "pose" else None
-    limits = (probe.small, MOST_STEPS, probe.settled, CONFORMAL) if probe else 4 * (0.0,)
+    limits = probes_of(scene)[0].limits if table.measured == "pose" else Sensor()
     starts = [group[0] for group in table.groups]
     owners = np.repeat([-1, *range(len(starts))], np.diff([0, *starts, len(rows)]))
     sizes = {v.reference: v.size for v in (table.joined if table.arrays else rows)}
@@ -96,7 +95,7 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
         *(max(registers), data.texts(*(v.name for v in rows))),
         data.doubles(table.start_values),
         data.doubles([-np.inf if v.minimum is None else v.minimum for v in rows]),
-        *(data.doubles([rows[r].nominal for r in table.states]), data.doubles(limits)),
+        *(data.doubles([rows[r].nominal for r in table.states]), data.put(bytes(limits))),
         *(data.put(engine.numbers), len(engine.numbers) // 8),
         *(*data.rows(values), *data.rows(contacts), *data.rows(surfaces, _SURFACE)),
         *data.rows([data.instructions(t) for t in data.tables], _TABLE),

@@ -82,6 +82,12 @@ class Fact(Structure):
     ]
 
 
+class Sensor(Structure):
+    """``sensor_t``: when Newton's method towards a contact ends."""
+
+    _fields_ = [(name, c_double) for name in ("small", "most_steps", "settled", "conformal")]
+
+
 class Steered(Structure):
     """``steered_t``: one body of a contact that is steered."""
 
@@ -119,6 +125,7 @@ _CALLS: dict[str, Any] = {
     "facts": ctypes.CFUNCTYPE(c_int64, c_void_p, c_int64, c_int64, POINTER(Fact)),
     "run": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, c_void_p),
     # these take a microsecond
+    "load": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
     "step": ctypes.PYFUNCTYPE(None, c_void_p),
     "along": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
     "geodesics": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, *[c_void_p] * 4, c_int64, c_void_p),
@@ -127,6 +134,7 @@ _CALLS: dict[str, Any] = {
     "sign_changes": ctypes.PYFUNCTYPE(
         c_int64, POINTER(c_double), c_int64, c_int64, c_double, c_double, POINTER(c_double)
     ),
+    "sense": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p, c_int64, c_void_p),
     "rays": ctypes.CFUNCTYPE(c_int32, c_void_p, c_void_p, c_double, c_int64, c_void_p, c_void_p),
     "wind": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p, c_void_p),
 }
@@ -157,6 +165,7 @@ ENGINE: Engine = _LIBRARY.contact_engine().contents
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
 moments, facts, _run, step = ENGINE.moments, ENGINE.facts, ENGINE.run, ENGINE.step
 geodesics, steer, rays, wind = ENGINE.geodesics, ENGINE.steer, ENGINE.rays, ENGINE.wind
+sense = ENGINE.sense
 _sign_changes = ENGINE.sign_changes
 _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
@@ -231,9 +240,9 @@ class Machine:
     ):
         r = np.zeros(table.n_regs) if registers is None else registers
         r[table.n_in : table.first_lit] = constants
-        r[table.first_lit :][: table.n_lit] = table.numbers
-        code, prologue = (Program(at, r.ctypes.data) for at in (table.body, table.prologue))
-        step(ctypes.addressof(prologue))
+        self.addresses = c_void_p(table.address), c_void_p(r.ctypes.data)
+        ENGINE.load(*self.addresses)
+        code = Program(table.body, r.ctypes.data)
         # making the address beforehand saves half of the time of a call
         self.run = functools.partial(step, c_void_p(ctypes.addressof(code)))
         vars(self.run)["kept"] = table, code, r  # kept alive: C has only their addresses

@@ -25,6 +25,7 @@ enum { STAGES = 12 };
 #include "geodesic.c"
 #include "steer.c"
 #include "rays.c"
+#include "sense.c"
 
 /* ---- what others call ---- */
 
@@ -162,11 +163,13 @@ const engine_t NAME(VARIANT) = {.variant = TEXT(VARIANT),
                                 .moments = moments,
                                 .facts = facts,
                                 .run = run_table,
+                                .load = load_registers,
                                 .step = step,
                                 .along = along,
                                 .geodesics = geodesics,
                                 .look = look,
                                 .steer = steer,
                                 .sign_changes = sign_changes,
+                                .sense = sense,
                                 .rays = rays,
                                 .wind = wind};

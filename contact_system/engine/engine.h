@@ -155,6 +155,13 @@ typedef struct {
   double *registers;
 } program_t;
 
+/* when Newton's method towards a contact ends: see sense.c. Lengths of a step, m: `small` ends it,
+   and above `settled` it is more than rounding; so many steps; |relative curvature| of bodies that
+   conform */
+typedef struct {
+  double small, most_steps, settled, conformal;
+} sensor_t;
+
 /* one body of a contact that is steered to a goal */
 typedef struct {
   const geodesic_t *how;     /* NULL: a sphere about the origin, or a plane, with */
@@ -194,6 +201,8 @@ typedef struct {
   /* a table at n points, in[n_in][n] and out[n_out][n]; constants[n_const] */
   int (*run)(const table_t *table, int64_t n, const double *in, const double *constants,
              double *out);
+  /* puts a table's literals into its registers, which hold its constants, and runs its prologue */
+  void (*load)(const table_t *table, double *registers);
   void (*step)(const program_t *program);
   /* the same, and what grows along with it: a derivative for each lane of tangents[register] */
   void (*along)(const program_t *program, double (*tangents)[L]);
@@ -211,6 +220,8 @@ typedef struct {
   /* of a polynomial: see polynomial.h */
   int64_t (*sign_changes)(const double *c, int64_t n, int64_t order, double a, double b,
                           double *found);
+  /* finds a contact by a table that is loaded and has n unknowns, its first inputs: see sense.c */
+  void (*sense)(const table_t *table, double *registers, int64_t n, const sensor_t *limits);
   /* distances t at which n rays, unit vectors [3][n], leave a body: see rays.c. level: a table of
      x, d -> the level function and its slope; numbers: the sign of the side, then the rays'
      centre; size: how far to look first */

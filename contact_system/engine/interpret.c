@@ -59,6 +59,11 @@ INLINE void execute(const code_t *restrict k, double *restrict r, const int widt
 #undef B
 }
 
+static void load_registers(const table_t *table, double *r) {
+  if (table->n_lit) memcpy(r + table->first_lit, table->literals, (size_t)table->n_lit * sizeof *r);
+  execute(table->prologue, r, 1, NULL);
+}
+
 static void interpret(const code_t *k, lanes_t r) { execute(k, r[0], L, NULL); }
 static void step(const program_t *p) { execute(p->code, p->registers, 1, NULL); }
 static void along(const program_t *p, double (*d)[L]) { execute(p->code, p->registers, 1, d); }

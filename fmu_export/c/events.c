@@ -10,9 +10,9 @@ static int pushed_at_rest(const component_t *c, long i) {
 
 enum { TRIGGER, MEASURED }; /* places among the inputs of what is measured */
 
-/* Newton's method of contact_sensor.py for the states of contact i, from a place near it; of states
-   that are measured there are no unknowns. found: states, and roots of the metrics, column by
-   column. Returns what is wrong, or NULL. */
+/* Finds the states of contact i at the measured pose, by Newton's method from its planned place; or
+   takes the states that are measured, with a table of no unknowns. found: states, and roots of the
+   metrics, column by column. Returns what is wrong, or NULL. */
 static const char *sense(component_t *c, long i, const double states[N_STATES],
                          const double points[6], const double **found) {
   const contact_t *k = c->model->contacts + i;
@@ -28,11 +28,7 @@ static const char *sense(component_t *c, long i, const double states[N_STATES],
   }
   const long unknowns = x - r;
   memcpy(x, values_of(c, i, OF_MEASURED) + MEASURED, (size_t)(t->n_in - unknowns) * sizeof *x);
-  for (int steps = 0;; steps++) {
-    c->engine->step(&(program_t){t->body, r});
-    if (!(y[unknowns] > limit->small) || steps >= limit->most_steps) break;
-    memcpy(r, y, (size_t)unknowns * sizeof *r);
-  }
+  c->engine->sense(t, r, unknowns, limit);
   y += unknowns; /* length of the step, relative curvature, states, metric roots */
   *found = y + 2;
   if (fabs(y[1]) <= limit->conformal)

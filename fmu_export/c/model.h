@@ -79,12 +79,6 @@ typedef struct {
   int64_t unknowns[2]; /* and how many each body has in a pose: 3, a point, 2, coordinates */
 } contact_t;
 
-/* what contact_sensor.py finds a contact by: steps so short end it, or so many; steps so short are
-   rounding; bodies with so little relative curvature conform */
-typedef struct {
-  double small, most_steps, settled, conformal;
-} sensor_t;
-
 typedef struct {
   int64_t contact, slot;
   int64_t values; /* reference of start, stop and two components */

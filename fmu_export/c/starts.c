@@ -6,8 +6,7 @@
 static double *load_table(component_t *c, const table_t *t) {
   double *r = c->registers;
   memcpy(r + t->n_in, c->room, (size_t)t->n_const * sizeof *r);
-  if (t->n_lit) memcpy(r + t->first_lit, t->literals, (size_t)t->n_lit * sizeof *r);
-  c->engine->step(&(program_t){t->prologue, r});
+  c->engine->load(t, r);
   return r;
 }
 
