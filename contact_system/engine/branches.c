@@ -10,7 +10,7 @@ enum { U, V, DU, DV, THETA, N_COORDINATES };
 enum { PANEL_ANCHORS = 4, CIRCLE_ANCHORS = 15 }; /* a panel; a revolution, L with its end */
 
 /* u v u' v' theta in principal values at places x of a path, in the variable of its panels or the
-   phase of its circle; rates are none */
+   phase of its circle; rates are 0 */
 static lanes_t principal(work_t *w, const track_t *k, const double *x) {
   unit_t *u = table_of(w, k->body, IN_SPACE, M_COORDINATES);
   if (k->kind == CIRCLE)
@@ -21,27 +21,27 @@ static lanes_t principal(work_t *w, const track_t *k, const double *x) {
   return run(u);
 }
 
-/* A lane of these; returns not 0 where there are none, at a pole or an umbilic. */
+/* Takes one lane of them; returns nonzero if they are not finite, at a pole or an umbilic. */
 static int take_lane(const double (*z)[L], int i, double *value) {
   int none = 0;
   for (int r = 0; r < N_COORDINATES; r++) value[r] = z[r][i], none |= !isfinite(value[r]);
   return none;
 }
 
-/* The same at one place */
+/* Both at one place */
 static int place_on(work_t *w, const track_t *k, double x, double *value) {
   double at[L];
   fill_lanes(at, x);
   return take_lane(principal(w, k, at), 0, value);
 }
 
-/* The value by whole periods nearest a reference */
+/* The value, shifted by whole periods to be nearest a reference */
 static inline double wound(double value, double reference, double period) {
   const double far = reference - value;
   return fabs(far) <= 0.5 * period || period <= 0 ? value : value + period * rint(far / period);
 }
 
-/* Of a chart that covers its surface twice: whether cos v < 0, and whether sin u cos v < 0. They
+/* In a chart that covers its surface twice: whether cos v < 0, and whether sin u cos v < 0. They
    change where a path crosses cos v = 0 or sin u = 0, and nowhere else. */
 static inline int is_odd(double whole) { return fabs(whole) < 1e15 && (int64_t)whole & 1; }
 static inline int second_cover(double v) { return is_odd(floor(2.0 * v / TURN + 0.5)); }
@@ -49,7 +49,7 @@ static inline int beyond(double u, double v) {
   return is_odd(floor(2.0 * u / TURN)) ^ second_cover(v);
 }
 
-/* A place on a path, and y = sin u cos v there, whose sign is what `beyond` tells; y is the same on
+/* A place on a path, and y = sin u cos v there, whose sign is that of `beyond`; y is the same on
    both covers */
 typedef struct {
   double x, y;
@@ -57,14 +57,14 @@ typedef struct {
 
 static inline double side_of(double u, double v) { return sin(u) * cos(v); }
 
-/* Whether a point is on cos v = 0 or sin u = 0 but for rounding: signs tell nothing there. */
+/* Whether a point is on cos v = 0 or sin u = 0 to within rounding: y has no reliable sign there. */
 static inline int on_seam(double u, double v) {
   const double a = 2.0 * u / TURN, b = 2.0 * v / TURN - 0.5;
   return fabs(a - rint(a)) < 1e-12 || fabs(b - rint(b)) < 1e-12;
 }
 
-/* Moves a point u v u' v' theta by whole turns to where it is nearest to its reference u v theta; a
-   turned one is moved to (-u, pi - v) before, where the chart's axes are turned by pi. */
+/* Shifts u v u' v' theta by whole turns to be nearest a reference u v theta. turned: the point
+   moves to the other cover first, to (-u, pi - v), where the chart's axes are turned by pi. */
 static inline void wind_to(const surface_t *s, int turned, const double *ref, double *z) {
   const double half = turned ? 0.5 * TURN : 0.0, sign = turned ? -1.0 : 1.0;
   z[U] = wound(sign * z[U], ref[0], s->period_u);
@@ -73,8 +73,8 @@ static inline void wind_to(const surface_t *s, int turned, const double *ref, do
   z[THETA] = wound(z[THETA] + half, ref[2], TURN);
 }
 
-/* A point in principal coordinates to the nearer branch, which is the one where sin u cos v has
-   its reference's sign */
+/* Moves a point in principal coordinates to the branch nearer to the reference, which is the one
+   where sin u cos v has the reference's sign. */
 static void wind(const surface_t *s, const double *ref, double *z) {
   const double u = z[U], v = z[V];
   const double du = wound(u, ref[0], s->period_u) - ref[0];
@@ -85,8 +85,8 @@ static void wind(const surface_t *s, const double *ref, double *z) {
 }
 
 /* Whether a path crosses cos v = 0, not sin u = 0, between two marks on different sides; negative:
-   whether the first one is. Only the place of the crossing, found by regula falsi (Illinois), tells
-   the two apart beside umbilics. */
+   whether y < 0 at the first. Only the place of the crossing, found by regula falsi (Illinois),
+   tells the two apart beside umbilics. */
 static int over_seam(work_t *w, const track_t *k, mark_t a, mark_t b, int negative) {
   double value[N_COORDINATES], last = 0.0, s = 0.0, c = 1.0;
   a.y = negative ? -fabs(a.y) : fabs(a.y), b.y = negative ? fabs(b.y) : -fabs(b.y);
@@ -111,8 +111,8 @@ static int over_seam(work_t *w, const track_t *k, mark_t a, mark_t b, int negati
   return c < fabs(s);
 }
 
-/* Whether a path leaves its side of y = 0 and comes back between two marks; there: a place beyond.
-   It is looked for where parabolas through three places have their least |y|. */
+/* Whether a path leaves its side of y = 0 and comes back between two marks; there: a place on the
+   other side, which is sought where parabolas through three places have their least |y|. */
 static int comes_back(work_t *w, const track_t *k, mark_t a, mark_t c, int negative,
                       mark_t *there) {
   const double sign = negative ? -1.0 : 1.0;
@@ -147,9 +147,9 @@ static int comes_back(work_t *w, const track_t *k, mark_t a, mark_t c, int negat
   return 0;
 }
 
-/* As `wind`, for the place at x2 of a path that is at ref at x, in a chart that covers its surface
-   once. Beside a pole theta and an azimuth swing by half a turn, each to either side. The side is
-   seen only on parts of the path in which they swing by less. */
+/* As `wind`, for the point at x2 on a path that is at ref at x, in a chart that covers its surface
+   once. Beside a pole theta and an azimuth change by up to half a turn, and only points in between
+   show in which direction: the path is halved until theta changes by less than a quarter turn. */
 static void wind_swing(work_t *w, const track_t *k, double x, const double *ref, double x2,
                        double *z) {
   double half[N_COORDINATES];
@@ -163,8 +163,8 @@ static void wind_swing(work_t *w, const track_t *k, double x, const double *ref,
   wind_swing(w, k, middle, (double[3]){half[U], half[V], half[THETA]}, x2, z);
 }
 
-/* A point of a path, in principal coordinates, to the branch that it is on at `to` coming from
-   ref at `from`; bends: whether the path may come back between them */
+/* Moves the point of a path at `to`, in principal coordinates, to its branch; at `from` the path is
+   at ref. bends: whether the path may cross y = 0 and come back in between */
 static void wind_along(work_t *w, const track_t *k, mark_t from, const double *ref, mark_t to,
                        int bends, double *z) {
   const surface_t *s = k->body->surface;
@@ -196,7 +196,7 @@ static int bends_before(const mark_t *m, int64_t n, int64_t i) {
   return falls && (i + 1 == n || fabs(m[i + 1].y) >= fabs(m[i].y));
 }
 
-/* Principal coordinates at the anchors' places; at a pole those of the anchor before it */
+/* Principal coordinates at the anchors' places; at a pole, those of the anchor before */
 static void raw_anchors(work_t *w, const track_t *k, int64_t n, const double *at,
                         const double *begin, double (*raw)[N_COORDINATES]) {
   for (int64_t from = 0; from < n; from += L) {
@@ -255,17 +255,17 @@ static void anchor_track(work_t *w, track_t *k, const double *begin) {
 
 /* ---- points between two anchors ----
    Where both anchors are on one branch and one side of y = 0, points on that side are on that
-   branch. Where the anchors are on two sides, a point goes with the anchor on its own side. Points
-   on the other side than both, or between two branches, follow the path from an anchor. An anchor
-   on the seam tells no side: then a point goes with the nearer one. */
+   branch. Where the anchors are on two sides, a point goes with the anchor on its own side. For
+   points on the other side than both, or between two branches, the path is followed from an anchor.
+   An anchor on the seam has no side: then a point goes with the nearer one. */
 typedef struct {
   double before[3], after[3];
   double low, high;
-  int signs_tell, side, cover; /* side and cover of the first anchor; */
+  int sides_known, side, cover; /* side and cover of the first anchor */
   int sides_differ, covers_differ;
 } between_t;
 
-/* Between the anchors around a place, `turns` revolutions later */
+/* The anchors around a place, `turns` revolutions later */
 static between_t between(const track_t *k, double x, double turns, int64_t *hint) {
   const int64_t i = *hint = interval(k->anchor_at, k->n_anchors - 1, x, *hint);
   between_t gap = {.low = k->anchor_at[i], .high = k->anchor_at[i + 1]};
@@ -274,19 +274,19 @@ static between_t between(const track_t *k, double x, double turns, int64_t *hint
     gap.after[j] = k->anchors[i + 1][j] + turns * k->turn[j];
   }
   const double *a = gap.before, *b = gap.after;
-  gap.signs_tell = !on_seam(a[0], a[1]) && !on_seam(b[0], b[1]);
-  if (!gap.signs_tell) return gap;
+  gap.sides_known = !on_seam(a[0], a[1]) && !on_seam(b[0], b[1]);
+  if (!gap.sides_known) return gap;
   gap.side = beyond(a[0], a[1]), gap.sides_differ = gap.side != beyond(b[0], b[1]);
   gap.cover = second_cover(a[1]), gap.covers_differ = gap.cover != second_cover(b[1]);
   return gap;
 }
 
-/* A point of a path at x, in principal coordinates, to its branch */
+/* Moves a point of a path at x, in principal coordinates, to its branch. */
 static void wind_between(work_t *w, const track_t *k, const between_t *gap, double x, double *z) {
   const surface_t *s = k->body->surface;
   const double *ref = gap->high - x < x - gap->low ? gap->after : gap->before;
   const double u = z[U], v = z[V];
-  if (gap->signs_tell) {
+  if (gap->sides_known) {
     const int differs = beyond(u, 0.0) != gap->side;
     if (!differs && !gap->sides_differ && !gap->covers_differ) {
       wind_to(s, gap->cover, ref, z);
@@ -304,8 +304,8 @@ static void wind_between(work_t *w, const track_t *k, const between_t *gap, doub
   wind(s, ref, z);
 }
 
-/* Points of a path in a chart that covers its surface once: whole turns nearest the nearer anchor.
-   Beside a pole v and theta swing by half a turn: there the anchor that is nearer in theta. */
+/* Shifts points of a path by whole turns to the nearer anchor, in a chart that covers its surface
+   once; beside a pole, where v and theta swing by half a turn, to the one nearer in theta. */
 static void wind_once(const track_t *k, const double *x, const double *turns, lanes_t z, int n) {
   const surface_t *s = k->body->surface;
   int64_t at = 0;
@@ -324,7 +324,7 @@ static void wind_once(const track_t *k, const double *x, const double *turns, la
   }
 }
 
-/* Points of a path at places x, in principal coordinates, to their branches */
+/* Moves points of a path at places x, in principal coordinates, to their branches. */
 static void wind_all(work_t *w, const track_t *k, const double *x, const double *turns, lanes_t z,
                      int n) {
   int64_t hint = 0;

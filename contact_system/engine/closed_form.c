@@ -1,8 +1,7 @@
 /* Curves that need no integration: great circles, and lines on developable surfaces.
 
-   A phase of 2 pi k carries k times the rounding of the arc length. Beyond FAR_PHASE radians it is
-   computed in doubled precision, after Dekker; 256 rad leave 256 * 1.1e-16 * 2 = 6e-14 of the
-   radius. */
+   Rounding of a phase grows with the phase. Beyond FAR_PHASE radians it is computed in doubled
+   precision, after Dekker: 256 rad leave an error of 256 * 1.1e-16 * 2 = 6e-14 of the radius. */
 
 static const double FAR_PHASE = 256.0;
 
@@ -64,7 +63,7 @@ static void phases(const track_t *k, const double *tau, double *phase, double *t
 
 /* ---- lines on developable surfaces ---- */
 
-/* u and v by the length of y, a vector of the parallel frame */
+/* Chart components of y, a vector in the parallel frame */
 static void chart_slope(work_t *w, const body_t *b, const double *state, const double *y,
                         double *slope) {
   double lame[3], turned[2];

@@ -1,4 +1,4 @@
-/* The engine of one vector width, in one unit: see engine.h. Compiled once for each VARIANT. */
+/* The engine (see engine.h) as one unit, compiled once for each VARIANT: a processor's vectors. */
 #include "engine.h"
 
 #include <setjmp.h>
@@ -27,7 +27,7 @@ enum { STAGES = 12 };
 #include "rays.c"
 #include "sense.c"
 
-/* ---- what others call ---- */
+/* ---- the functions of engine_t ---- */
 
 static void drop(plan_t *plan) {
   if (!plan) return;
@@ -63,8 +63,8 @@ static plan_t *make_plan(const double *scene, int64_t size, const surface_t *con
   return plan;
 }
 
-/* Room for a call: the plan's, if `look` has made it keep some, so that steps of an FMU take no
-   memory; else the caller's own */
+/* The working memory of a call: the plan's, if `look` has made it keep one, so that an FMU's steps
+   allocate nothing; else the caller's own */
 static work_t *enter(const plan_t *plan, work_t *own, failure_t *failure) {
   begin_work(own, (plan_t *)plan, failure);
   if (!plan->kept) return own;

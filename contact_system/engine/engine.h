@@ -1,16 +1,16 @@
-/* The engine: plans contacts one at a time and evaluates them, with tables and numbers alone.
+/* The engine plans contacts one at a time, and evaluates the plans.
 
-   It knows no surface by name: surfaces and equations come as tables of instructions, which
-   `contact_system/theory` makes from symbols. What it states itself are geodesics of spheres and
-   developable surfaces (closed_form.c, steer.c) and branches of charts (branches.c). A scene comes
-   as one buffer of numbers (see SCENE_VERSION below). The header is all that others see: the
-   binding in Python, tests, FMUs. */
+   It knows no surface by name: surfaces and equations are tables of instructions, which
+   `contact_system/theory` makes from symbols. Only geodesics of spheres and developable surfaces
+   (closed_form.c, steer.c) and branches of charts (branches.c) are written in C. A scene is one
+   buffer of numbers, whose layout begins at SCENE_VERSION. Users of the engine (the binding in
+   Python, tests, FMUs) need this header alone. */
 #ifndef CONTACT_SYSTEM_ENGINE
 #define CONTACT_SYSTEM_ENGINE
 #include <stddef.h>
 #include <stdint.h>
 
-enum { L = 16 }; /* lanes: the Gauss points of a panel, or so many times at once */
+enum { L = 16 }; /* lanes, computed together: the Gauss points of a panel, or 16 times */
 
 /* ---- tables: straight-line programs on registers of L lanes ---- */
 
@@ -18,22 +18,22 @@ typedef struct {
   uint16_t op, to, a, b;
 } code_t;
 
-/* registers: [inputs][constants][literals][results of the prologue][outputs][temporaries];
-   prologue: what depends on constants alone. twin: index of the same in compiled C, or -1. */
+/* Registers: [inputs][constants][literals][results of the prologue][outputs][temporaries]. The
+   prologue computes what depends on constants alone. twin: the body's index in compiled C, or -1 */
 typedef struct {
   int32_t n_in, n_const, n_out, n_lit, first_lit, first_out, n_regs, twin;
   const code_t *prologue, *body;
   const double *literals;
 } table_t;
 
-/* the tables of a body moved in its chart, state u v theta, or in space, state x p, as
-   theory/development.py defines them: M_ in both, C_ in its chart alone, A_ in space alone */
+/* The tables by which a body's contact point moves: see theory/development.py. The state is u v
+   theta in the chart, x p in space; M_ tables are in both, C_ in the chart alone, A_ in space. */
 enum { IN_CHART, IN_SPACE };
 enum { M_MOTION, M_COORDINATES, M_VECTOR, M_SHAPE, C_FRAME, C_POINT, C_LAME, N_MOVED };
 enum { A_SECOND = C_FRAME, A_RESTORE, A_START };
-/* the tables that only Python asks for */
+/* the tables that only Python uses */
 enum { GEOMETRY, INVERSE, GEODESIC, N_OTHER };
-/* the tables of a contact, which no surface enters: `contact_functions` of theory/equations.py */
+/* the tables of a contact, the same for all surfaces: theory/equations.py, `contact_functions` */
 enum { T_START, T_POSE, T_TWIST, T_TURNED, T_ACCELERATION, T_PUSHED, N_CONTACT_TABLES };
 
 enum { NO_CLOSED_FORM, GREAT_CIRCLES, DEVELOPABLE };
@@ -41,35 +41,35 @@ enum { NO_CLOSED_FORM, GREAT_CIRCLES, DEVELOPABLE };
 typedef struct {
   const char *name;
   int32_t n_numbers, double_cover, closed;
-  int32_t may_be_singular;   /* nobody knows where the chart is regular */
-  double period_u, period_v; /* 0: none */
+  int32_t may_be_singular;   /* a user's chart, whose singular points are unknown */
+  double period_u, period_v; /* 0: not periodic */
   const table_t *moved[2][N_MOVED], *other[N_OTHER];
 } surface_t;
 
-/* ---- the scene's buffer: doubles, places as offsets from its beginning ---- */
+/* ---- the scene's buffer of doubles; where something stands is an offset from its start ---- */
 
 enum { SCENE_VERSION = 8 };
 
-/* the header; contacts follow it, CONTACT_SIZE each */
+/* the header; contacts follow it, of CONTACT_SIZE numbers each */
 enum {
   S_CONTACTS,   /* how many */
-  S_TOLERANCE,  /* of contact points, in sizes of the body */
-  S_PANELS,     /* that all contacts may take together */
+  S_TOLERANCE,  /* error of contact points, in sizes of the body */
+  S_PANELS,     /* how many all contacts may take together */
   S_BEGIN,      /* s */
   S_END,        /* s */
-  S_GAIN,       /* lam = gain sigma^power, */
-  S_GAIN_POWER, /* a whole number from 0 on, */
-  S_MAKES_UP,   /* and 1: max(0, sigma'/sigma) besides */
-  S_OBJECT,     /* the object, BODY_SIZE numbers */
+  S_GAIN,       /* lam = gain sigma^power, plus max(0, sigma'/sigma) if S_MAKES_UP is 1 */
+  S_GAIN_POWER, /* an integer, at least 0 */
+  S_MAKES_UP,
+  S_OBJECT, /* the object, BODY_SIZE numbers */
   S_HEADER = S_OBJECT + 5
 };
-/* a body: which surface, where its numbers stand, its size and typical least radius of curvature,
-   m, and how many sizes a panel may span */
+/* a body: index of its surface; where its numbers stand; its size and its typical least radius of
+   curvature, m; how many sizes a panel may span */
 enum { B_SURFACE, B_NUMBERS, B_LENGTH, B_BEND, B_REACH, BODY_SIZE };
-/* a window, what it adds in chart components; slots: acceleration of finger, of object, offset of
-   rates */
+/* a disturbance window, and what it adds, in chart components, to the acceleration of the finger
+   (slot 0) or object (1), or to the object's rates (2) */
 enum { W_SLOT, W_START, W_STOP, W_VALUE, WINDOW_SIZE = W_VALUE + 2 };
-/* a leg, which lasts until the next one begins; a contact has one at least */
+/* a leg, which lasts until the next one begins; a contact has at least one */
 enum {
   G_START,        /* s */
   G_PROFILE,      /* where the coefficients of sigma stand, lowest power first, t from G_START */
@@ -80,8 +80,8 @@ enum {
 /* a contact */
 enum {
   K_FINGER,                /* BODY_SIZE numbers */
-  K_MOMENT = K_FINGER + 5, /* 0: it starts as a scene says; 1: it goes on from moving frames */
-  K_FOLLOWS,               /* rolling is imposed: the finger's curve is developed too */
+  K_MOMENT = K_FINGER + 5, /* 0: it starts as a scene says; 1: it restarts from a moment, below */
+  K_FOLLOWS,               /* 1: rolling is imposed, and the finger's curve is developed too */
   K_WINDOWS,               /* where its windows stand, and how many */
   K_WINDOWS_SIZE,
   K_LEGS, /* where its legs stand, and how many */
@@ -90,25 +90,25 @@ enum {
   K_PLACE_2 = K_PLACE_1 + 3,
   K_ANGLE = K_PLACE_2 + 3, /* psi where both thetas are zero */
   K_W1,                    /* path velocity in the finger's parallel frame */
-  K_Y = K_W1 + 2,          /* the object's path velocity; of a moment, V */
-  K_FRAME_1 = K_Y + 2,     /* x p; zeros: they follow from u v theta */
+  K_Y = K_W1 + 2,          /* the object's path velocity; in a moment, V */
+  K_FRAME_1 = K_Y + 2,     /* x p; zeros: computed from u v theta */
   K_FRAME_2 = K_FRAME_1 + 6,
   CONTACT_SIZE = K_FRAME_2 + 6,
-  /* what is left of a contact at some time, enough to go on from: its row from K_PLACE_1 on */
+  /* a moment: what a contact restarts from at some time, its row from K_PLACE_1 on */
   MOMENT_SIZE = CONTACT_SIZE - K_PLACE_1
 };
 
-/* ---- what can be asked for ---- */
+/* ---- results ---- */
 
-/* FRAMES: of each body x p q, and the curvature form along p and q: K_pp K_pq K_qq */
+/* of each body, CARRIED: theta, W_1 or W_2 - V; FRAMES: x p q, curvature form K_pp K_pq K_qq */
 enum { STATES, POINTS, SLIP, SLIP_SPEED, TWIST, POSE, ACCELERATION, CARRIED, FRAMES, N_OUTPUTS };
 
-/* geodesics of a surface, many at once, and how they are followed */
+/* how geodesics of a surface are followed, many at once */
 typedef struct {
   const surface_t *surface;
-  const table_t *rates; /* GEODESIC, which surfaces of users have only where it is asked for */
+  const table_t *rates; /* the table GEODESIC, which is made for users' surfaces when needed */
   const double *numbers;
-  double size, first, longest; /* m; the first step and the longest, m */
+  double size, first, longest; /* the body's size, the first step and the longest one, m */
 } geodesic_t;
 
 /* why something failed */
@@ -125,11 +125,11 @@ enum {
 
 typedef struct {
   int64_t code, contact, side, panels, by_length, pushed;
-  int64_t spent, most, greediest; /* panels tried for the plan, for the contact that took most */
-  double t, end, value, u, v;     /* value: sigma, or the path's length in sizes, at most `end` */
+  int64_t spent, most, greediest; /* panels tried: in all, the most by one contact; its index */
+  double t, end, value, u, v;     /* value: sigma; if TOO_LONG, sizes of path, more than `end` */
 } failure_t;
 
-/* what became of one interval of one body */
+/* how the motion of one body was found on one interval, and why so */
 enum { CIRCLE, LINE, PANELS };
 enum {
   UNPUSHED,
@@ -149,7 +149,7 @@ typedef struct {
 
 typedef struct plan plan_t;
 
-/* a table's prologue or body on registers of one double each, which are the caller's */
+/* a table's prologue or body, and the caller's registers of one double each */
 typedef struct {
   const code_t *code;
   double *registers;
@@ -164,26 +164,26 @@ typedef struct {
 
 /* one body of a contact that is steered to a goal */
 typedef struct {
-  const geodesic_t *how;     /* NULL: a sphere about the origin, or a plane, with */
-  double gauss, bend;        /* Gauss' curvature, 1/m^2, and that along each line, 1/m */
+  const geodesic_t *how;     /* NULL: a sphere about the origin or a plane, */
+  double gauss, bend;        /* with this Gaussian and normal curvature, 1/m^2 and 1/m */
   double start[9], place[3]; /* x p q, the contact frame; u v theta */
-  double goal[3];
-  double within[4]; /* a point and the radius that the path is to stay within; 0: none */
-  int64_t wanted;   /* whether `goal` is */
+  double goal[3];            /* the contact point, if it is `wanted` */
+  double within[4]; /* centre and radius of a ball that the path must not leave; radius 0: none */
+  int64_t wanted;
 } steered_t;
 
-/* where a contact is to go, and from where: see steer.c */
+/* start and goal of a contact that is steered: see steer.c */
 typedef struct {
-  steered_t body[2];         /* finger and object */
-  double psi;                /* at the start */
-  double lean, pace;         /* angle and length of the path velocity that directions count from */
-  double unit;               /* length that a step may change a leg's by, along s */
+  steered_t body[2]; /* finger and object */
+  double psi;        /* at the start */
+  double lean, pace; /* the path velocity's angle, from which directions count, and length */
+  double unit;       /* the most by which a step changes a leg's length, along s */
   double turn[9], origin[3]; /* the finger's pose at the goal */
-  double size;               /* unit of what places and origin are off; the angles' is 1 rad */
-  double longest;            /* of a leg, along s; 0: any */
-  double tolerance, reached; /* of the steps, of the goal, in sizes */
-  int64_t turns, is_pose;    /* whether rotation and origin count */
-  int64_t parts;             /* of a leg, looked at for `within` */
+  double size;               /* unit of the errors of places and origin; that of angles is 1 rad */
+  double longest;            /* length of a leg that is allowed, along s; 0: any */
+  double tolerance, reached; /* of the geodesics; error at which the goal is met, in sizes */
+  int64_t turns, is_pose;    /* whether the goal has a rotation, and an origin too */
+  int64_t parts;             /* of each leg, at whose ends `within` is checked */
 } steer_t;
 
 typedef struct {

@@ -29,7 +29,7 @@ static void rates_of(lines_t *g, lanes_t y, lanes_t out) {
     EACH_LANE(i) out[r][i] = g->length[i] * found[r][i];
 }
 
-/* y + h sum of a_j k_j, or that sum alone; of some rows together, as processors add several numbers
+/* y + h sum of a_j k_j, or that sum alone; TOGETHER rows at once, as processors add several numbers
    in the time that one takes */
 enum { TOGETHER = 2 };
 static void combine_stages(const lines_t *g, const double *a, int n, double h, int added,
@@ -51,7 +51,7 @@ static void combine_stages(const lines_t *g, const double *a, int n, double h, i
   }
 }
 
-/* Lengths of which the tolerance is a fraction */
+/* Units of the states' errors, of which the tolerance is a fraction */
 static void find_units(lines_t *g) {
   const double size = g->how->size;
   const double fields[FIELDS] = {size, 1.0, 1.0, 1.0 / size};
@@ -171,7 +171,7 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
   }
 }
 
-/* Returns 0 without memory. */
+/* Returns 0 if there is no memory. */
 static int load_lines(lines_t *g, const geodesic_t *how) {
   g->how = how, g->space = moves_in_space(how->surface);
   g->state = state_size(g->space), g->rows = g->state + FIELDS;

@@ -6,9 +6,9 @@ typedef void (*twin_t)(double (*restrict r)[L]);
 
 #include "generated/twins.inc"
 
-/* d f = sum of partial derivatives times what their operands grow by; what stands still adds
-   nothing, whatever its derivative */
-static void grow(double (*d)[L], const code_t *k, const double *partial, int n) {
+/* The chain rule: tangents of a result, from its partial derivatives and the operands' tangents. A
+   tangent of 0 adds nothing, even where the derivative is infinite. */
+static void carry_tangents(double (*d)[L], const code_t *k, const double *partial, int n) {
   const uint16_t from[2] = {k->a, k->b};
   double sum[L] = {0};
   for (int j = 0; j < n; j++)
@@ -17,11 +17,11 @@ static void grow(double (*d)[L], const code_t *k, const double *partial, int n) 
   memcpy(d[k->to], sum, sizeof sum);
 }
 
-/* Runs a program on registers of L doubles, or with the same bits of one. d: derivatives that are
-   carried along with one, or NULL.
+/* Runs a program on registers of `width` doubles: L, or 1, which gives the same bits. d: tangents,
+   derivatives of the registers in L directions, which are carried along if width is 1; or NULL.
 
-   gcc unrolls 16 lanes completely and then packs them poorly, but for `omp simd`; clang vectorises
-   no loop that a computed goto leads to, hence the switch. */
+   Without `omp simd` gcc unrolls 16 lanes completely and then packs them poorly; clang vectorises
+   no loop that is reached by a computed goto, hence the switch. */
 INLINE void execute(const code_t *restrict k, double *restrict r, const int width, double (*d)[L]) {
 #define REGISTER(of) r[of * width + i]
 #define A REGISTER(k->a) /* the operands, as operations.inc writes them */
@@ -45,7 +45,7 @@ INLINE void execute(const code_t *restrict k, double *restrict r, const int widt
 #define PARTIALS(name, ...)                                                                        \
   case OP_##name: {                                                                                \
     const double partial[] = {__VA_ARGS__};                                                        \
-    grow(d, k, partial, (int)(sizeof partial / sizeof *partial));                                  \
+    carry_tangents(d, k, partial, (int)(sizeof partial / sizeof *partial));                        \
     break;                                                                                         \
   }
   for (; k->op != OP_END; k++) {
@@ -68,8 +68,8 @@ static void interpret(const code_t *k, lanes_t r) { execute(k, r[0], L, NULL); }
 static void step(const program_t *p) { execute(p->code, p->registers, 1, NULL); }
 static void along(const program_t *p, double (*d)[L]) { execute(p->code, p->registers, 1, d); }
 
-/* A table with room to run in, its constants and prologue done. Bodies, places and times change
-   from run to run, constants seldom. */
+/* A table in registers of its own, with its constants set and its prologue run: only the inputs
+   change from run to run. */
 typedef struct {
   const table_t *table;
   const double *constants;
@@ -97,7 +97,7 @@ static inline void copy_lanes(double *to, const double *from) {
   UNROLLED(p, PARTS) *(wide_t *)(to + p * WIDE) = *(const wide_t *)(from + p * WIDE);
 }
 
-/* Some numbers, the last of them in all lanes that are left */
+/* `count` numbers in the first lanes, and the last one in all others */
 static inline void gather(double *lanes, const double *from, int count) {
   for (int i = 0; i < L; i++) lanes[i] = from[i < count ? i : count - 1];
 }
@@ -106,7 +106,7 @@ static inline void copy_rows(lanes_t to, const double (*from)[L], int n) {
   for (int k = 0; k < n; k++) copy_lanes(to[k], from[k]);
 }
 
-/* Registers: inputs from r[0] on. Returns 0 without memory. */
+/* Loads a table, whose inputs are then u->r[0] and on. Returns 0 if there is no memory. */
 static int load(unit_t *u, const table_t *table, const double *constants) {
   if (u->table == table && u->constants == constants) return 1;
   if (u->room < table->n_regs) {
@@ -123,7 +123,7 @@ static int load(unit_t *u, const table_t *table, const double *constants) {
   return 1;
 }
 
-/* Runs what is loaded; returns the results' rows. */
+/* Runs a loaded table; returns the rows of its outputs. */
 static inline lanes_t run(const unit_t *u) {
   if (u->table->twin >= 0)
     twins[u->table->twin](u->r);

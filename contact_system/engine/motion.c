@@ -3,33 +3,33 @@
    The length of a panel follows the decay of the solution's Chebyshev series, which is also the
    dense output. Collocation at Gauss points conserves quadratic invariants: F(x), |p| of every
    quadric (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.7). The last
-   states may carry the term -lam, which is solved implicitly. */
+   two states may be V, whose stiff term -lam V is solved implicitly. */
 
-static const double COARSE = 1e-6; /* coarser tolerances count as this: tails tell nothing there */
-static const double TAIL = 3.6;    /* error over a series' last coefficient */
-static const double KINKED = 30.0; /* the error is so much greater at a kink; 27 where rates jump */
+static const double COARSE = 1e-6; /* coarser tolerances count as this: a tail says little there */
+static const double TAIL = 3.6;    /* ratio of the error to a series' last coefficient */
+static const double KINKED = 30.0; /* factor of the error at a kink; 27 where rates jump */
 static const double STEEPEST = 20.0; /* most that ln(decay) falls in a panel; 30: 3 % more sweeps */
 /* The same in a first panel at a tolerance of 1e-12; without it fast slip takes 4 to 8 % longer. */
 static const double FALL = 4.5;
 enum { SWEEPS = 40 };
-enum { MANY = 4096 }; /* panels from one look at how many more it will take to the next */
+enum { MANY = 4096 }; /* panels between two estimates of how many more it will take */
 
-/* The motion of a track's body, or without a body int sigma decay. Where accelerations act, the
-   body's state is followed by W_1 of the finger, or by V of the object. */
+/* What is integrated: the state of a track's body, then under accelerations W_1 (of the finger) or
+   V (of the object); or int sigma decay, if the track has no body. */
 typedef struct {
   track_t *track;
   int64_t n;
-  double length, first, reach;    /* of the first panel at a tolerance of 1e-12; as B_REACH says */
-  double tolerance, slip, finish; /* slip: |V|, 0 without; it ends where |V| decay <= finish */
+  double length, first, reach;    /* of the first panel at a tolerance of 1e-12; see B_REACH */
+  double tolerance, slip, finish; /* slip: |V| at the start; it ends where slip decay <= finish */
   double state[MAX_STATES], scale[MAX_STATES]; /* errors are measured in 1/scale */
   /* what `rates` reads */
   const double *r0;
   int pushed;
-  const track_t *finger; /* of a pushed object whose finger is accelerated */
+  const track_t *finger; /* of an object whose finger is accelerated; else NULL */
   double v[2];
 } motion_t;
 
-/* what is known beforehand at the nodes of a panel */
+/* what does not depend on the state, at the nodes of a panel */
 typedef struct {
   double sigma[L], decay[L], lam[L], inverse[L][L];
   double w2[2][L], pushed_1[2][L]; /* W_2; the finger's acceleration, in its parallel frame */
@@ -166,7 +166,7 @@ static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x,
   return f;
 }
 
-/* (x, p) back onto the surface; on lanes, as a compiled twin is faster than `run_one` */
+/* Puts (x, p) back onto the surface; on lanes, as a compiled twin is faster than `run_one`. */
 static void restore_body(work_t *w, const body_t *b, double *state) {
   unit_t *u = table_of(w, b, IN_SPACE, A_RESTORE);
   for (int j = 0; j < 6; j++) fill_lanes(u->r[j], state[j]);
@@ -174,9 +174,9 @@ static void restore_body(work_t *w, const body_t *b, double *state) {
   for (int j = 0; j < 6; j++) state[j] = found[j][0];
 }
 
-/* 1/(size of each state): positions count by the body's size, angles and directions by 1,
-   coordinates by their Lame coefficients. One that vanishes, at a pole, counts as a hundredth of
-   the size, or on users' charts, whose units may be any, of the other one. */
+/* 1/(unit of each state): the body's size for positions, 1 for angles and directions, and for
+   coordinates the size over their Lame coefficients. One that vanishes, at a pole, counts as a
+   hundredth of the size or, on users' charts, whose units may be any, of the other coefficient. */
 static void scales(work_t *w, int ambient, const body_t *b, const double *state, double *scale) {
   if (ambient) {
     for (int j = 0; j < 6; j++) scale[j] = j < 3 ? 1.0 / b->size : 1.0;
@@ -191,25 +191,25 @@ static void scales(work_t *w, int ambient, const body_t *b, const double *state,
 
 /* ---- panels ---- */
 
-/* Where an integration stands: the next panel begins at tau and has length h at most. known: a
-   panel of length span whose series it starts from; the last one ends at tau, a refused one begins
-   there and its series stands where the next one's will. */
+/* The next panel begins at tau and has length h at most. Its first guess is the series of a known
+   panel of length span: the last one, which ends at tau; or one that was refused, which begins at
+   tau, and whose series is where the next one's will be. */
 enum { NOTHING, LAST_PANEL, REFUSED_PANEL };
 typedef struct {
   double tau, h, span;
   int known;
 } step_t;
 
-/* The length h, or less: ln(decay) falls by `steepest` at most over the panel, and by no more at
-   the rate of its start, so that the first node still sees a layer there. */
+/* The length h, or less, so that ln(decay) falls by `steepest` at most over the panel, and by no
+   more at the rate of its start: the first node is to be inside of a boundary layer there. */
 static double longest(const motion_t *m, double tau, double h, double steepest) {
   const drive_t *d = m->track->drive;
   if (m->slip <= 0) return h;
-  const double first = gain_at(d, tau), lost = lost_at(d, tau);
+  const double first = gain_at(d, tau), lost = exponent_at(d, tau);
   if (lost > 40.0) return h; /* decay is below rounding */
   if (first * h > steepest) h = 0.99 * steepest / first;
   for (int k = 0; k < 60; k++) {
-    const double lam = fmax(first, (lost_at(d, tau + h) - lost) / h);
+    const double lam = fmax(first, (exponent_at(d, tau + h) - lost) / h);
     if (lam * h <= steepest) break;
     h = fmax(0.5 * h, 0.99 * steepest / lam);
   }
@@ -218,7 +218,7 @@ static double longest(const motion_t *m, double tau, double h, double steepest) 
 
 /* Inverse of I + h/2 Q diag(lam), transposed, by Gauss and Jordan in place. In the nodes' order no
    pivots are needed: solutions are right to 3e-14 for gains from 1e-3 to 1e14 per panel that vary
-   by 10^24 in it, while exchanging rows left 1e-5. */
+   by 10^24 in it, while exchanging rows left errors of 1e-5. */
 static void invert_implicit(const double *lam, double half, double (*a)[L]) {
   for (int i = 0; i < L; i++)
     for (int j = 0; j < L; j++) a[i][j] = half * lam[i] * gauss_integral[i][j] + (i == j);
@@ -252,8 +252,8 @@ static void first_guess(const motion_t *m, const step_t *s, double span, const d
   }
 }
 
-/* One sweep: f at the nodes, then x = start + h/2 Q f (V: the implicit form). Returns the change.
-   The rows of f may move. Inlined, it takes 3 % more time. */
+/* One sweep: f at the nodes, then x = start + h/2 Q f (V: the implicit form). Returns the greatest
+   change of x, and in *at_f the rows of f, which may be a table's own. Inlined: 3 % more time. */
 __attribute__((noinline)) static double sweep(work_t *w, const motion_t *m, double half,
                                               const nodes_t *at, lanes_t x, lanes_t *at_f) {
   double y[MAX_STATES][L], g[L], change = 0.0, none = 0.0;
@@ -272,33 +272,33 @@ __attribute__((noinline)) static double sweep(work_t *w, const motion_t *m, doub
       worst[i] = far > worst[i] ? far : worst[i];
       x[s][i] = y[s][i];
     }
-    none += 0.0 * y[s][0]; /* a maximum drops a NaN, but one at a node is at all after a sweep */
+    none += 0.0 * y[s][0]; /* a maximum ignores NaN; but after a sweep it is at all nodes */
   }
   for (int i = 0; i < L; i++) change = worst[i] > change ? worst[i] : change;
   return none == 0.0 ? change : HUGE_VAL;
 }
 
-/* Whether the panel is so much too long that its tail tells before the sweeps have converged. */
+/* Whether the panel is so much too long that its tail shows it before the sweeps converge. */
 static int hopeless(const motion_t *m, double half, const nodes_t *at, lanes_t f) {
   for (int64_t r = 0; r < m->n; r++)
     if (TAIL * fabs(half * dot(gauss_top, f[r])) * m->scale[r] > 100.0 * at->allowed) return 1;
   return 0;
 }
 
-/* Sweeps until x holds still. Returns 0 where they do not converge. */
+/* Sweeps until x changes no more. Returns 0 if they do not converge. */
 static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at, lanes_t x,
                     lanes_t *f) {
   double last = HUGE_VAL, before = 1.0; /* before: the ratio of changes one sweep earlier */
   for (int k = 0; k < SWEEPS; k++) {
     const double change = sweep(w, m, half, at, x, f);
-    /* What the next sweep will change is foretold by the slower of the last two ratios, as in
-       equations of second order every other sweep changes little. Far from the result a ratio
-       below 0.05 is not believed. Of a stiff V the first ratio is not: one sweep mends all of V,
-       and the next ones are slower. */
+    /* The next sweep's change is estimated by the slower of the last two ratios, as in equations
+       of second order every other sweep changes little. Far from the result, a ratio below 0.05
+       counts as 0.05. With a stiff V the first ratio is left out: the first sweep corrects nearly
+       all of V, and later ones converge more slowly. */
     const double ratio = fmax(change / last, last < 0.01 ? 0.0 : 0.05),
                  slower = fmax(ratio, before);
-    const int tells = slower < 0.3 && (k > 1 || !has_v(m));
-    const double next = tells ? change * slower : change;
+    const int usable = slower < 0.3 && (k > 1 || !has_v(m));
+    const double next = usable ? change * slower : change;
     if (next <= 3e-2 * m->tolerance || change <= 4e-16) return 1;
     if (k > 6 && change <= 1e-13 && change > 0.25 * last) return 1;
     if (!(change < 1e10) || (k > 3 && change > 4.0 * last)) return 0;
@@ -308,8 +308,8 @@ static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at
   return 0;
 }
 
-/* The series of a stiff V from its values. Its integral would lose digits, as pushes and lam V,
-   which cancel, are far larger than V over a panel's length. */
+/* The series of a stiff V from its values. Integrating V' would lose digits, as its two terms, the
+   acceleration and lam V, nearly cancel and are far larger than V over a panel's length. */
 static void through(const double *start, lanes_t v, double *out) {
   double rise[2][L];
   for (int a = 0; a < 2; a++)
@@ -340,7 +340,7 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
   }
   memcpy(end, reached, (size_t)m->n * sizeof *reached);
   if (k->body && k->ambient) restore_body(w, k->body, end);
-  /* what must be put back tells of the panel's error too */
+  /* how far (x, p) is from the surface is another estimate of the error */
   double back = 0.0, none = 0.0; /* fmax drops a NaN */
   for (int64_t r = 0; r < m->n; r++) {
     back = fmax(back, fabs(end[r] - reached[r]) * m->scale[r]);
@@ -350,8 +350,8 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
   return back > 1e-13 ? fmax(error, 0.1 * back) : error;
 }
 
-/* Whether rates may jump: where what disturbs in chart components meets a pole, of the finger as
-   well, or where a user's surface, whose panels have a greatest length, has a kink */
+/* Whether rates may jump: at a pole, on which chart components of a disturbance, also of the
+   finger's, have no limit; or at a kink of a user's surface, whose panels have a greatest length */
 static int may_jump(const motion_t *m) {
   const track_t *k = m->track;
   if (!k->body) return 0;
@@ -359,8 +359,8 @@ static int may_jump(const motion_t *m) {
   return k->body->reach < HUGE_VAL || (k->ambient && (any(k->offset) || any(k->push)));
 }
 
-/* Whether a panel's series fall like 1/k^2 or 1/k^3: rates, or their slopes, jump between nodes.
-   Coefficients of 1e-15 may be rounding. */
+/* Whether a panel's series fall as slowly as 1/k^2 or 1/k^3, since rates or their slopes jump
+   between nodes. Coefficients of 1e-15 may be rounding. */
 static int has_kink(const motion_t *m, const double *series) {
   double middle = 0.0, last = 0.0;
   for (int64_t r = 0; r < m->n; r++) {
@@ -371,9 +371,9 @@ static int has_kink(const motion_t *m, const double *series) {
   return last > fmax(0.005 * middle, 1e-15);
 }
 
-/* The error by a jump of the rates, f at the nodes, between an end of a panel and the node next to
-   it, which only the rates at the end tell of. A panel that is refused for a jump shrinks until the
-   jump is there. */
+/* The error from a jump of the rates between an end of a panel and the node next to it: there the
+   rates at the end differ from those extrapolated from f, the rates at the nodes. Panels that are
+   refused for a jump shrink until the jump is in such a gap. */
 static double error_at_ends(work_t *w, const motion_t *m, double tau, double half, lanes_t f,
                             const double *end) {
   double expected[2][MAX_STATES], t[L], x[MAX_STATES][L], rows_f[MAX_STATES][L], jump = 0.0;
@@ -397,7 +397,7 @@ static double error_at_ends(work_t *w, const motion_t *m, double tau, double hal
   return (1.0 + gauss_node[0]) * half * jump;
 }
 
-/* The error that even shorter panels have: rounding of L(tau), whose terms may cancel */
+/* The error that no shorter panel avoids: rounding of L(tau), whose terms may cancel */
 static double rounding(const motion_t *m, const nodes_t *at, double half, double after) {
   const drive_t *d = m->track->drive;
   const body_t *b = m->track->body;
@@ -406,11 +406,11 @@ static double rounding(const motion_t *m, const nodes_t *at, double half, double
   for (int64_t k = d->n_exponent - 1; k >= 0; k--) terms = terms * after + fabs(d->exponent[k]);
   for (int i = 0; i < L; i++) most = fmax(most, at->sigma[i] * at->decay[i]);
   const double scale = b ? 1.0 / b->bend : m->scale[0];
-  return 2e-16 * fmax(terms - lost_at(d, after), 0.0) * m->slip * half * most * scale;
+  return 2e-16 * fmax(terms - exponent_at(d, after), 0.0) * m->slip * half * most * scale;
 }
 
-/* How long the next panel may be, by the error of one up to `after`; whether that one is taken:
-   then m->state becomes its end. */
+/* Whether a panel up to `after` is accepted, for its error; then m->state becomes its end. Sets the
+   length of the next panel to try. */
 static int judge_panel(motion_t *m, step_t *s, double after, double error, double allowed,
                        const double *end) {
   const double span = after - s->tau;
@@ -470,7 +470,7 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   e->greediest = this ? e->contact : w->greediest;
   e->by_length = k->by_length, e->pushed = m->pushed;
   e->value = k->by_length ? 1.0 : sigma_at(k->drive, s->tau);
-  if (k->body) { /* where it stands */
+  if (k->body) {
     double place[5] = {m->state[0], m->state[1]};
     if (k->ambient)
       run_one(w, k->body->surface->moved[IN_SPACE][M_COORDINATES], k->body->numbers, m->state,
@@ -480,11 +480,11 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   fail(w, code);
 }
 
-/* Fails where a motion does not get on, or will take more panels than are left. tries: of `count`
-   panels; mark: where it stood when it was looked at last */
+/* Fails if a motion makes no progress, or will take more panels than are left. count: panels so
+   far; tries: with those refused; mark: tau at the last estimate of how many more are needed */
 static void require_progress(work_t *w, const motion_t *m, const step_t *s, int64_t count,
                              int64_t tries, double *mark) {
-  /* a layer at the start may be as thin as it likes */
+  /* at tau = 0 any h is allowed: a boundary layer may be arbitrarily thin */
   if (tries > 40 * (count + 25) || !(s->h > 1e-15 * s->tau)) fail_motion(w, m, s, STUCK, count);
   const double left = w->plan->scene[S_PANELS] - (double)w->spent;
   int endless = left < 0;

@@ -1,8 +1,8 @@
-/* Everything that is asked for, in one pass over the times. */
+/* Evaluates a contact: all results that are asked for, in one pass over the times. */
 
 /* ---- one body at local times ---- */
 
-/* Where times are on a track: local time, arc length, or the phase and the revolutions before */
+/* The variable of a track's motion at local times: time, arc length, or phase and revolutions */
 static void variable(const track_t *k, const double *tau, double *x, double *turns) {
   fill_lanes(turns, 0.0);
   if (k->kind == CIRCLE)
@@ -24,7 +24,7 @@ static void state_at(const track_t *k, const double *tau, const double *x, int r
     panels_at(&k->panels, 0, rows, x, state);
 }
 
-/* W_1 or V where accelerations change it, else as it is */
+/* W_1, W_2 or V: from panels, if accelerations change it, else constant */
 static void path_velocity(const panels_t *panels, const double *constant, const double *tau,
                           lanes_t out) {
   if (panels)
@@ -131,7 +131,7 @@ static void sample_body(work_t *w, sample_t *m, int s, int n, int needs) {
   }
 }
 
-/* Slip along (p_2, q_2): sigma V, less what a rate offset adds */
+/* Slip along (p_2, q_2): sigma V less the rate offset */
 static void sample_slip(sample_t *m) {
   const side_t *o = &m->side[1];
   for (int a = 0; a < 2; a++) {
@@ -197,7 +197,7 @@ typedef struct {
   int count;
 } target_t;
 
-/* Some rows of an output, from one on */
+/* Writes some rows of an output. */
 static void put(const target_t *to, int output, int row, const double (*values)[L], int rows) {
   double *out = to->out[output] + row * to->n + to->first;
   for (int r = 0; r < rows; r++, out += to->n)
@@ -303,12 +303,12 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t
   put_slip(w, to, c, m);
 }
 
-/* What stands at times without a frame, at a pole or an umbilic, is not finite. The first of them
-   is told; the other contacts are evaluated all the same. */
-static void tell_singular(work_t *w, const contact_t *c, int64_t n, const double *t,
-                          double *const *out) {
+/* Results that need a frame are not finite at a pole or an umbilic. The first such time becomes the
+   failure; the other contacts are evaluated all the same. */
+static void report_singular(work_t *w, const contact_t *c, int64_t n, const double *t,
+                            double *const *out) {
   static const int asked[] = {STATES, SLIP, ACCELERATION, CARRIED};
-  static const int of_finger[] = {4, 0, 0, 3}; /* so many rows, which come first */
+  static const int of_finger[] = {4, 0, 0, 3}; /* how many of the first rows are the finger's */
   for (int a = 0; a < 4 && !w->failure->code; a++) {
     const double *y = out[asked[a]];
     const int64_t size = y ? n * OUTPUT_ROWS[asked[a]] : 0;
@@ -351,10 +351,10 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
     gather(m.t, times + i, (int)count);
     put_block(w, c, &m, &(target_t){out, n, i, (int)count}, needs);
   }
-  tell_singular(w, c, n, times, out);
+  report_singular(w, c, n, times, out);
 }
 
-/* ---- branches, and where contacts have come to ---- */
+/* ---- branches and moments ---- */
 
 /* u v theta of a body where the contact begins */
 static const double *begins_at(const contact_t *c, int side) {
@@ -383,7 +383,7 @@ static void sample_at(const contact_t *c, double t, sample_t *m) {
   sample_paths(c, m);
 }
 
-/* u v theta at a time; returns not 0 where there are none */
+/* u v theta at a time; returns nonzero if they are not finite */
 static int place_on_track(work_t *w, const contact_t *c, const track_t *k, double t,
                           double *place) {
   const int side = k->body->side;
@@ -414,7 +414,7 @@ static void anchor_side(work_t *w, contact_t *c, int side, int64_t n) {
   }
 }
 
-/* u v theta at the end of a track, or at an earlier time; where there are none, a moment beside */
+/* u v theta at the end of a track, or at an earlier time; if not finite, just before or after */
 static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t, double *place) {
   anchor_side(w, c, side, which + 1);
   const track_t *k = c->tracks[side] + which;

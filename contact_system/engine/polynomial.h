@@ -11,7 +11,7 @@ static inline double horner(const double *c, int64_t n, double x) {
   return y;
 }
 
-/* the value at x, or 0 where its sign cannot be told from rounding, of coefficients too */
+/* the value at x, or 0 where rounding, also of the coefficients, may change its sign */
 static inline double clear_value(const double *c, int64_t n, double x, double value) {
   double size = 0.0;
   for (int64_t k = n - 1; k >= 0; k--) size = size * fabs(x) + fabs(c[k]);
@@ -19,7 +19,7 @@ static inline double clear_value(const double *c, int64_t n, double x, double va
   return x == 0 || fabs(value) > 4e-16 * (double)n * fmin(size, DBL_MAX) ? value : 0.0;
 }
 
-/* the root of d between a and b, where it has this sign and another one */
+/* the root of d between a and b, where it changes its sign; above: whether d > 0 at a */
 static inline double root_between(const double *d, int64_t n, double a, double b, int above) {
   if (n == 2) return fmin(fmax(a, -d[0] / d[1]), b);
   for (int i = 0; i < 200; i++) { /* down to neighbouring floats, also for a root very close to 0 */
@@ -34,7 +34,7 @@ static inline double root_between(const double *d, int64_t n, double a, double b
 }
 
 /* Where the derivative of this order changes its sign inside (a, b), ascending; returns how many.
-   found has room for 2 n numbers, as it is worked in.
+   found has room for 2 n numbers, of which some are scratch.
 
    Between the sign changes of its own derivative a polynomial is monotone. Roots that only touch
    zero, rounded or not, are no sign changes. */

@@ -10,7 +10,7 @@ typedef struct {
   double ray[3][L], t[L], value[L], slope[L]; /* t: distances; the level function and its slope */
 } rays_t;
 
-static void look_along(rays_t *r) {
+static void evaluate_level(rays_t *r) {
   lanes_t in = r->level.r;
   for (int j = 0; j < 3; j++)
     EACH_LANE(i) in[j][i] = r->centre[j] + r->t[i] * r->ray[j][i];
@@ -25,16 +25,16 @@ static void trace(rays_t *r, double size) {
   const double farthest = ldexp(size, DOUBLINGS);
   double low[L] = {0}, high[L], step[L];
   int out[L], going = 1;
-  fill_lanes(r->t, 0.0), look_along(r);
+  fill_lanes(r->t, 0.0), evaluate_level(r);
   for (int i = 0; i < L; i++) out[i] = !(r->value[i] < 0.0);
   fill_lanes(r->t, size), fill_lanes(high, HUGE_VAL), fill_lanes(step, HUGE_VAL);
   for (int k = 0; k < MOST_TRIALS && going; k++) {
-    look_along(r), going = 0;
+    evaluate_level(r), going = 0;
     for (int i = 0; i < L; i++) {
       const double t = r->t[i], value = r->value[i];
-      /* else it would depend on the other rays */
+      /* a settled ray stays: its result must not depend on the other rays */
       if (out[i] || t == farthest || step[i] <= SETTLED * t) continue;
-      if (high[i] == HUGE_VAL && !(value > 0.0)) { /* outward, until it is outside */
+      if (high[i] == HUGE_VAL && !(value > 0.0)) { /* double the distance until it is outside */
         r->t[i] = 2.0 * t, going |= r->t[i] < farthest;
         continue;
       }

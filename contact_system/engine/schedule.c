@@ -5,7 +5,7 @@
    products of polynomials are formed in doubled precision and rounded once: terms of sigma may
    cancel. */
 
-/* Taylor's shift to start, by Horner's scheme again and again */
+/* Taylor's shift of a polynomial to start, by repeated Horner's schemes */
 static void shift(const double *c, int64_t n, double start, twofold_t *out) {
   for (int64_t i = 0; i < n; i++) out[i] = twofold(c[i]);
   for (int64_t i = 0; i + 1 < n && start != 0; i++)
@@ -62,7 +62,7 @@ static const drive_t *drive_on(work_t *w, const double *leg, double start, doubl
     least = fmin(least, value), greatest = fmax(greatest, value);
   }
   d->least = least;
-  /* slip V still moves the contact by |V| over this at most: lam/sigma, or the path's length */
+  /* the least lam/sigma or, if greater, 1/length: see drive_t */
   const double base = power > 1 ? least : fmax(greatest, 1e-300);
   d->per_metre =
       fmax(scene[S_GAIN] * pow(base, (double)(power - 1)), 1.0 / fmax(length_at(d, span), 1e-300));
@@ -121,7 +121,7 @@ static void schedule(work_t *w, contact_t *c) {
     const double start = edges[k], stop = edges[k + 1];
     while (leg < last && leg[LEG_SIZE + G_START] <= start) leg += LEG_SIZE;
     s->drive = drive_on(w, leg, start, stop);
-    /* the start's velocity is that of the leg it lies on */
+    /* at the scene's start W_1 already has the direction of its leg */
     if (leg[G_START] == start && start > scene[S_BEGIN]) s->turn = leg + G_TURN;
     for (int64_t i = 0; i < (int64_t)row[K_WINDOWS_SIZE]; i++) {
       const double *window = windows + i * WINDOW_SIZE;

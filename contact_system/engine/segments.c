@@ -17,7 +17,7 @@ static const double ROUNDING = 1e-17;
 /* Length of a path, in sizes of a body, after which rounding leaves fewer than four digits */
 static const double ENDLESS = 1e11;
 
-/* a contact on its way through its segments */
+/* a contact that is being planned, with its path velocities at the time reached */
 typedef struct {
   work_t *w;
   contact_t *c;
@@ -57,7 +57,7 @@ static void state_of(course_t *c, int side, double *state) {
   }
 }
 
-/* The state in the form that an interval needs */
+/* The same in space or in the chart */
 static void in_form(course_t *c, int side, int ambient, double *state) {
   if (moves_in_space(c->c->body[side].surface) == ambient)
     state_of(c, side, state);
@@ -69,8 +69,8 @@ static void in_form(course_t *c, int side, int ambient, double *state) {
 
 /* ---- integrated tracks ---- */
 
-/* A body from where it stands on, on a new track. Where its chart is a double cover the sign of
-   chart components belongs to the branch that the path is on, which only the chart form knows. */
+/* Begins a new track of a body, where its last one ends. Where its chart is a double cover, the
+   sign of chart components depends on the branch that the path is on, which only u v theta show. */
 static motion_t add_motion(course_t *c, int side, const drive_t *d, int reason, const double *push,
                            const double *offset) {
   const body_t *b = &c->c->body[side];
@@ -85,7 +85,7 @@ static motion_t add_motion(course_t *c, int side, const drive_t *d, int reason, 
   return m;
 }
 
-/* Integrates a motion, with which its track may end earlier. */
+/* Integrates a motion; if it finishes early, so does its track. */
 static track_t *carry_out(course_t *c, motion_t *m) {
   track_t *k = m->track;
   c->w->failure->side = k->body->side;
@@ -96,7 +96,7 @@ static track_t *carry_out(course_t *c, motion_t *m) {
   return k;
 }
 
-/* What `plan.explain` says of an object that nothing accelerates */
+/* The reason that `plan.explain` gives for an object that nothing accelerates */
 static int reason_of(const course_t *c, const double *offset) {
   if (any(offset)) return any(c->v) ? OFFSET_AND_SLIP : OFFSET;
   return any(c->v) ? SLIPS : NO_SLIP;
@@ -128,7 +128,7 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
 
 /* ---- slip and rate offsets ---- */
 
-/* About the time in which a path that may slip grows as long as a first panel may be, s */
+/* Length of a first panel, s: about the time in which a path that may slip grows by `reach` */
 static double first_panel(const drive_t *d, double span, const body_t *b) {
   const double reach = 0.4 * first_length(b);
   double first = span * fmin(1.0, reach / fmax(length_at(d, span), 1e-300));
@@ -156,13 +156,13 @@ static void line(course_t *c, const drive_t *d, const double *offset, int matter
   track_t *k = add_track(c, 1, d, d->stop, reason_of(c, offset));
   k->offset = offset;
   lay_line(c->w, state, k);
-  if (!matters) return; /* what is left of slip shows in the rates alone */
+  if (!matters) return; /* the slip that is left does not change the position */
   k->panels = slip_length(c, d);
   chart_slope(c->w, k->body, state, c->v, k->aside);
 }
 
-/* Develops the object while a rate offset lasts, or slip that moves the contact by more than the
-   tolerance; returns the time reached. */
+/* Develops the object under a rate offset, or under slip until what is left of it is negligible;
+   returns the time reached. */
 static double driven(course_t *c, const drive_t *d, const double *offset, double negligible) {
   const body_t *b = &c->c->body[1];
   motion_t m = add_motion(c, 1, d, reason_of(c, offset), UNDISTURBED, offset);
@@ -201,15 +201,15 @@ static double free_object(course_t *c, const segment_t *s, double stop) {
 
 /* ---- accelerations ---- */
 
-/* The path velocity becomes w1: W_2 = R_0 W_1. What slips goes on slipping. */
-static void go_along(course_t *c, const double *w1) {
+/* Sets W_1 = w1 and W_2 = R_0 W_1; V stays. */
+static void set_path_velocity(course_t *c, const double *w1) {
   const double *r = c->c->r0;
   memcpy(c->w1, w1, sizeof c->w1);
   for (int a = 0; a < 2; a++) c->w2[a] = r[2 * a] * w1[0] + r[2 * a + 1] * w1[1];
 }
 
-/* A body under accelerations, and the two states after its own, errors of which are measured in
-   1/scale */
+/* The motion of a body under accelerations; more: W_1 or V, which follows the body's state, and
+   whose errors are multiplied by `scale` */
 static motion_t pushed_motion(course_t *c, int side, const segment_t *s, const double *more,
                               double scale) {
   const drive_t *d = s->drive;
@@ -220,9 +220,9 @@ static motion_t pushed_motion(course_t *c, int side, const segment_t *s, const d
   return m;
 }
 
-/* About how long slip is remembered, s: 1/lam where lam is less, at the start or at the end. A law
-   that makes up for growth is infinite where sigma is zero. */
-static double memory(const drive_t *d) {
+/* About the time constant of slip, s: 1/lam at the start or the end, where lam is less. Where sigma
+   is zero, lam is left out, as a law that makes up for growth is infinite there. */
+static double time_constant(const drive_t *d) {
   const double ends[2] = {0.0, d->stop - d->start};
   double lam = HUGE_VAL;
   for (int k = 0; k < 2; k++)
@@ -239,13 +239,13 @@ static void push_contact(course_t *c, segment_t *s) {
     motion_t m = pushed_motion(c, 0, s, c->w1, 1.0);
     finger = carry_out(c, &m);
     s->w1_panels = &finger->panels;
-    go_along(c, m.state + m.n - 2);
+    set_path_velocity(c, m.state + m.n - 2);
   }
-  /* slip that the accelerations can bring about is to be right to tolerance */
+  /* errors of V count by the greatest V that the accelerations can cause */
   double push = 0.0;
   for (int k = 0; k < 4; k++) push = fmax(push, fabs(act[k]) * c->c->body[k / 2].size);
   const double grown =
-      fmax(push / fmax(d->least, 1e-300) * fmin(d->stop - d->start, memory(d)), 1e-3);
+      fmax(push / fmax(d->least, 1e-300) * fmin(d->stop - d->start, time_constant(d)), 1e-3);
   motion_t m = pushed_motion(c, 1, s, c->v, 1.0 / fmin(fmax(norm(c->v), grown), 1.0));
   m.slip = 1.0, m.finger = finger;
   s->v_panels = &carry_out(c, &m)->panels;
@@ -302,15 +302,15 @@ static void begin(course_t *c) {
   memcpy(c->v, row[K_MOMENT] > 0 ? row + K_Y : found + 6, sizeof c->v);
 }
 
-/* A segment's tracks, unless those before it last longer; until: when those of each body end */
+/* Plans a segment's tracks, unless earlier ones cover it; until: where each body's last one ends */
 static void plan_segment(course_t *c, int64_t index, double *until) {
   segment_t *s = c->c->segments + index;
   const drive_t *d = s->drive;
   if (s->turn) {
     const double cosine = s->turn[0], sine = s->turn[1], *w1 = c->w1;
-    go_along(c, (double[2]){cosine * w1[0] - sine * w1[1], sine * w1[0] + cosine * w1[1]});
+    set_path_velocity(c, (double[2]){cosine * w1[0] - sine * w1[1], sine * w1[0] + cosine * w1[1]});
   }
-  /* the guaranteed law lets no slip leave a rest */
+  /* under a law that makes up for growth, no slip is left after a rest */
   if (d->grows && d->sigma[0] == 0.0) c->v[0] = c->v[1] = 0.0;
   memcpy(s->w[0], c->w1, sizeof c->w1), memcpy(s->w[1], c->w2, sizeof c->w2);
   memcpy(s->v, c->v, sizeof c->v);

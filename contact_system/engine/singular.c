@@ -1,10 +1,10 @@
-/* Singular points of charts that nobody knows to be regular.
+/* Finds singular points of users' charts on a path.
 
-   A path goes through one where |f_u| or |f_v| falls to 0: the equations are smooth there, and the
-   normal f_u x f_v turns over. */
+   Integration goes on through a point where |f_u| or |f_v| is 0, as the equations are smooth there.
+   But the normal f_u x f_v changes its sign, and is compared from place to place. */
 
-/* dot product of two normals close together, of which one has turned over; they may differ by 45
-   degrees besides */
+/* dot product of unit normals at neighbouring places, below which one has changed its sign; they
+   may differ by 45 degrees besides */
 static const double TURNED_OVER = -0.7;
 
 /* Normals at places xi of a panel, and u v theta there */
@@ -19,11 +19,11 @@ static void normals(work_t *w, const track_t *k, int64_t panel, const double *xi
     }
 }
 
-/* Fails where the normal turns over, or there is none, on a part of a panel: in equal parts of it,
-   and of these, as a smooth normal may turn far in one. before: the normal where the part begins,
-   then where it ends */
-static void look_at_part(work_t *w, const track_t *k, int64_t panel, double low, double high,
-                         double *before) {
+/* Fails where the normal changes its sign, or does not exist, on a part of a panel. Where it turns
+   far between two of L places, the part between is checked too, as it may turn smoothly. before:
+   the normal where the part begins, then where it ends */
+static void check_part(work_t *w, const track_t *k, int64_t panel, double low, double high,
+                       double *before) {
   double n[L][3], place[3][L], xi[L];
   for (int i = 0; i < L; i++) xi[i] = low + (high - low) / (L - 1) * i;
   xi[L - 1] = high; /* to the last bit, as it is a place of the whole too */
@@ -36,7 +36,7 @@ static void look_at_part(work_t *w, const track_t *k, int64_t panel, double low,
         e->side = k->body->side, e->u = place[0][i], e->v = place[1][i];
         fail(w, SINGULAR_CHART);
       }
-      look_at_part(w, k, panel, xi[i - 1], xi[i], before);
+      check_part(w, k, panel, xi[i - 1], xi[i], before);
     }
     memcpy(before, n[i], sizeof n[i]);
   }
@@ -45,5 +45,5 @@ static void look_at_part(work_t *w, const track_t *k, int64_t panel, double low,
 static void require_regular(work_t *w, const track_t *k) {
   double before[3] = {0.0};
   if (k->ambient || !k->body->surface->may_be_singular) return;
-  for (int64_t p = 0; p < k->panels.n; p++) look_at_part(w, k, p, -1.0, 1.0, before);
+  for (int64_t p = 0; p < k->panels.n; p++) check_part(w, k, p, -1.0, 1.0, before);
 }

@@ -1,4 +1,4 @@
-/* Paths of legs that end at a goal, a trial a lane: Newton's method (theory section 11).
+/* Paths of legs that end at a goal, by Newton's method (theory section 11). Each lane is a trial.
 
    All vectors are given in the frame of the path: p the direction of travel, q = n x p. On both
    bodies p is the same direction in space, and q and n are opposite ones. Jacobi fields say how the
@@ -21,14 +21,14 @@ typedef struct {
   by_unknown_t ahead, aside, turns; /* how the frame moves along p and q, and turns */
 } rolled_t;
 
-typedef struct {
-  double size[L], pull[UNKNOWNS][L], square[UNKNOWNS][UNKNOWNS][L];
+typedef struct { /* normal equations: |off|^2, slopes^T off, slopes^T slopes */
+  double size[L], gradient[UNKNOWNS][L], square[UNKNOWNS][UNKNOWNS][L];
 } equations_t;
 
 typedef struct {
   const steer_t *aim;
   int legs, unknowns;
-  int64_t met; /* trials that arrive */
+  int64_t met; /* trials that have met the goal */
   rolled_t rolled[2];
   double tried[UNKNOWNS][L];
   int active[L];
@@ -37,7 +37,7 @@ typedef struct {
 
 static void add_row(equations_t *e, int n, double (*slope)[L], const double *off) {
   for (int i = 0; i < n; i++) {
-    EACH_LANE(l) e->pull[i][l] += slope[i][l] * off[l];
+    EACH_LANE(l) e->gradient[i][l] += slope[i][l] * off[l];
     for (int j = 0; j <= i; j++)
       EACH_LANE(l) e->square[i][j][l] += slope[i][l] * slope[j][l];
   }
@@ -95,7 +95,7 @@ static void advance(rolled_t *r, const double *length) {
   }
 }
 
-/* A part of a leg carries the moves before it along. */
+/* Jacobi fields carry the frame's earlier moves along a part of a leg. */
 static void carry(rolled_t *r, int n) {
   double (*f)[L] = r->at + 9;
   for (int i = 0; i < n; i++)
@@ -158,7 +158,7 @@ static void roll(search_t *w, int side) {
       for (int l = 0; l < L; l++) r->ahead[n + k][l] += part * aim->unit;
       if (r->body->within[3] > 0) stay_within(r, &w->now, all);
     }
-    if (k + 1 < n) /* what is carried has not turned with the path */
+    if (k + 1 < n) /* the next corner turns back, as the next leg keeps its direction */
       for (int l = 0; l < L; l++) r->turns[k][l] -= sign;
   }
 }
@@ -221,7 +221,7 @@ static void turned_product(double (*a)[L], const double *turn, double (*b)[L], d
       EACH_LANE(l) out[l] += a[i][l] * turn[3 * i + j] * b[j][l];
 }
 
-/* How far off the goal's pose the end is, rotation and origin, in the frames F there: the
+/* Errors of the pose at the end, in rotation and origin, in the frames F there: the
    finger's rotation is F_2 diag(1, -1, -1) F_1^T. from: the finger's point from its origin. */
 static void pose_off(search_t *w, double unit, double (*off)[L], double (*from)[L]) {
   static const double same[3] = {1.0, -1.0, -1.0};
@@ -265,7 +265,7 @@ static void arrive_in_pose(search_t *w) {
   double off[6][L], from[3][L];
   for (int s = 0; s < 2; s++) tilt(w->rolled + s, n, ahead[s], aside[s]);
   pose_off(w, unit, off, from);
-  by_unknown_t spin[3]; /* of the finger about the frame's axes, against what is carried */
+  by_unknown_t spin[3]; /* how the finger turns about the frame's axes with each unknown */
   for (int i = 0; i < n; i++)
     EACH_LANE(l) {
       spin[0][i][l] = one->turns[i][l] + other->turns[i][l];
@@ -273,7 +273,7 @@ static void arrive_in_pose(search_t *w) {
       spin[2][i][l] = aside[1][i][l] - aside[0][i][l];
     }
   const double none[L] = {0};
-  for (int row = 0; row < 3; row++) /* each stands in two of the nine entries */
+  for (int row = 0; row < 3; row++) /* each changes two of the nine entries: off is their sum */
     add_row(e, n, spin[row], off[row]), add_row(e, n, spin[row], none);
   if (!is_pose) return;
   by_unknown_t moves[3];
@@ -295,7 +295,7 @@ static void keep_short(search_t *w) {
       const double s = w->tried[i][l], over = fabs(s) / longest - 1.0;
       if (over <= 0) continue;
       w->now.size[l] += over * over, w->now.square[i][i][l] += slope * slope;
-      w->now.pull[i][l] += copysign(slope, s) * over;
+      w->now.gradient[i][l] += copysign(slope, s) * over;
     }
 }
 
@@ -312,13 +312,13 @@ static void try_paths(search_t *w) {
 
 /* ---- Newton's method, with Levenberg's damping ---- */
 
-static const double NO_DAMPING = 1e-12; /* but for unknowns on which no equation depends */
+static const double NO_DAMPING = 1e-12; /* but where no equation depends on an unknown */
 
 /* The step of a lane, by Cholesky's method */
 static void solve(const equations_t *e, int n, int l, double damping, double *x) {
   double a[UNKNOWNS][UNKNOWNS];
   for (int i = 0; i < n; i++) {
-    x[i] = e->pull[i][l];
+    x[i] = e->gradient[i][l];
     for (int j = 0; j <= i; j++) {
       double sum = e->square[i][j][l] + (i == j ? damping : 0.0);
       for (int k = 0; k < j; k++) sum -= a[i][k] * a[j][k];
@@ -336,7 +336,7 @@ static void solve(const equations_t *e, int n, int l, double damping, double *x)
 static void copy_lane(equations_t *to, const equations_t *from, int n, int l) {
   to->size[l] = from->size[l];
   for (int i = 0; i < n; i++) {
-    to->pull[i][l] = from->pull[i][l];
+    to->gradient[i][l] = from->gradient[i][l];
     for (int j = 0; j <= i; j++) to->square[i][j][l] = from->square[i][j][l];
   }
 }
@@ -364,7 +364,7 @@ static void search(search_t *w, int64_t count, double (*z)[L]) {
       const double off = w->best.size[l];
       const int met = off < aim->reached * aim->reached;
       int stop = met || off == HUGE_VAL;
-      if (step % PATIENCE == PATIENCE - 1) { /* hardly better than at the last look */
+      if (step % PATIENCE == PATIENCE - 1) { /* hardly better than PATIENCE steps ago */
         stop |= off > 0.25 * mark[l] * mark[l];
         mark[l] = sqrt(off);
       }
@@ -381,10 +381,10 @@ static void search(search_t *w, int64_t count, double (*z)[L]) {
   }
 }
 
-/* Improves directions and lengths z[2 n][L] of `count` trials until some end as near to the goal as
-   is asked for; these take a last step then, unless it is a long one. off and squares are those
-   before that step: how far from the goal paths end, and slopes^T slopes of the equations,
-   [2 n][2 n][L]. Returns how many arrive, or -1 without memory. */
+/* Improves directions and lengths z[2 n][L] of `count` trials until some meet the goal; these take
+   a last step, unless it is a long one. Before that step, off[L] is how far from the goal paths
+   end, and squares[2 n][2 n][L] are slopes^T slopes of the equations. Returns how many trials meet
+   the goal, or -1 if there is no memory. */
 static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z)[L], double *off,
                      double *squares) {
   const int n = 2 * (int)legs;

@@ -1,8 +1,8 @@
-/* What one call works with: drives, bodies, room, and where errors go. */
+/* The data of a plan, and the working memory of one call. */
 
 typedef struct work work_t;
 
-/* numbers that live as long as a plan, in few pieces */
+/* memory that lives as long as a plan, allocated in few pieces */
 typedef struct block {
   struct block *next;
   size_t used, size;
@@ -11,14 +11,14 @@ typedef struct block {
 
 /* sigma and the gain on one interval; tau is local time */
 typedef struct {
-  const double *leg; /* in the buffer */
+  const double *leg; /* in the scene's buffer */
   double start, stop;
-  double least;     /* sigma */
-  double per_metre; /* least lam/sigma, or 1/length, 1/m; V moves the contact by at most
-                       |V|/per_metre until it is gone */
-  int64_t grows;    /* the law makes up for growth, and sigma grows: decay gets sigma(0)/sigma */
+  double least;     /* the least sigma */
+  double per_metre; /* the least lam/sigma or, if greater, 1/length, 1/m: V moves the contact by at
+                       most |V|/per_metre before it has decayed */
+  int64_t grows;    /* the law makes up for growth: decay has the factor sigma(0)/sigma */
   int64_t n_sigma, n_exponent;
-  /* polynomials: sigma; L, less what `grows` adds; int sigma, one coefficient more */
+  /* polynomials: sigma; L without the term for growth; int sigma, which has n_sigma + 1 terms */
   const double *sigma, *exponent, *length;
 } drive_t;
 
@@ -35,31 +35,31 @@ typedef struct {
   const double *edges, *series;
 } panels_t;
 
-/* One body on one interval */
+/* The motion of one body on one interval */
 typedef struct {
   const body_t *body;
-  double stop; /* it starts with its drive */
+  double stop; /* s; it starts where its drive does */
   int64_t kind, by_length, reason;
-  int ambient;
+  int ambient; /* moved in space, not in the chart */
   const drive_t *drive;
-  double w[2];
+  double w[2];                 /* W_1 or W_2 */
   const double *push, *offset; /* in chart components */
-  panels_t panels; /* of the state, and of W_1 or V after it; of a line int sigma decay */
+  panels_t panels; /* of the state, then W_1 or V if accelerated; of a LINE, g = int sigma decay */
   /* great circles: x0, unit tangents along and across, cosine and sine of the angle from p to
-     `along`, and rad by length */
+     `along`, and rad per metre of int sigma */
   double at[3], along[3], across[3], lean[2], rate;
-  /* lines in a developed chart: begin + slope s - aside g + offset tau, g = int sigma decay */
+  /* lines in a developed chart: begin + slope s - aside g + offset tau, s = int sigma */
   double begin[3], slope[2], aside[2];
-  int far; /* so far that whole turns are taken off in doubled precision */
+  int far; /* so long that whole turns have to be taken off in doubled precision */
   /* where the branch of the chart is known: places on the panels, or phases of one revolution */
   int64_t n_anchors;
   const double *anchor_at;
   const double (*anchors)[3]; /* u v theta */
-  double turn[3];             /* by which they differ a revolution later */
+  double turn[3];             /* what one revolution adds to them */
 } track_t;
 
-/* A piece of the horizon, what acts on it in chart components, and the path velocities on it: W_1,
-   W_2 and V at its start, or W_1 and V as the last rows of panels where accelerations act. */
+/* A piece of the horizon, what acts on it in chart components, and its path velocities: W_1, W_2
+   and V at its start, or under accelerations W_1 and V as the last rows of panels */
 typedef struct {
   const drive_t *drive;
   double acting[6];   /* accelerations of finger and object, rate offset of the object */
@@ -69,13 +69,13 @@ typedef struct {
 } segment_t;
 
 typedef struct {
-  const double *row; /* in the buffer */
+  const double *row; /* in the scene's buffer */
   body_t body[2];
-  double r0[4];
+  double r0[4]; /* R_0 */
   int64_t n_tracks[2], n_segments;
   track_t *tracks[2];
   segment_t *segments;
-  double *track_edges[2], *segment_edges; /* where each begins; the last one has no end */
+  double *track_edges[2], *segment_edges; /* times at which they begin, and infinity */
 } contact_t;
 
 struct plan {
@@ -84,12 +84,12 @@ struct plan {
   int64_t n_contacts;
   contact_t *contacts;
   block_t *memory;
-  work_t *kept; /* of `look` */
+  work_t *kept; /* working memory for `look`, or NULL */
 };
 
 enum { MAX_STATES = 8, TERMS = L + 1 };
 
-/* numbers for a while, which grow in number */
+/* scratch memory, which grows */
 typedef struct {
   double *data;
   size_t size;
@@ -103,9 +103,9 @@ struct work {
   unit_t pair[N_CONTACT_TABLES];
   room_t one;              /* registers of tables that run at one point */
   room_t edges, series;    /* of the motion that is being integrated */
-  room_t raw;              /* anchors that are being found */
+  room_t raw;              /* anchors before their branch is known */
   int64_t spent, begun;    /* panels tried so far, and before this contact */
-  int64_t most, greediest; /* by the contact that took most, of those before */
+  int64_t most, greediest; /* most panels tried by an earlier contact, and which one it was */
 };
 
 static _Noreturn void fail(work_t *w, int code) {
@@ -127,7 +127,7 @@ static void end_work(work_t *w) {
   free(w->one.data), free(w->edges.data), free(w->series.data), free(w->raw.data);
 }
 
-/* Room for n doubles; what is there stays. */
+/* Makes room for n doubles; what is in it stays. */
 static double *room_for(work_t *w, room_t *room, size_t n) {
   if (n > room->size) {
     double *data = realloc(room->data, 2 * n * sizeof *data);
@@ -137,7 +137,7 @@ static double *room_for(work_t *w, room_t *room, size_t n) {
   return room->data;
 }
 
-/* Items in the plan's memory, all zero */
+/* `count` items of `size` bytes in the plan's memory, all zero */
 static void *keep(work_t *w, int64_t count, size_t size) {
   const size_t n = ((size_t)count * size + sizeof(double) - 1) / sizeof(double);
   block_t *b = w->plan->memory;
@@ -175,18 +175,18 @@ static inline double sigma_at(const drive_t *d, double tau) {
 static inline double length_at(const drive_t *d, double tau) {
   return horner(d->length, d->n_sigma + 1, tau);
 }
-static inline double lost_at(const drive_t *d, double tau) {
+static inline double exponent_at(const drive_t *d, double tau) {
   return horner(d->exponent, d->n_exponent, tau);
 }
 
-/* lam */
+/* lam at a local time */
 static inline double gain_at(const drive_t *d, double tau) {
   double lam = slope_of(d->exponent, d->n_exponent, tau);
   if (d->grows) lam += slope_of(d->sigma, d->n_sigma, tau) / sigma_at(d, tau);
   return lam;
 }
 
-/* exp(-(L(tau) - L(0))) where sigma is given */
+/* exp(-(L(tau) - L(0))) at times at which sigma is given */
 static void decays(const drive_t *d, const double *tau, const double *sigma, double *out) {
   double lost[L];
   horners(d->exponent, d->n_exponent, tau, lost);
@@ -242,14 +242,14 @@ static void series_at(const double *c, int64_t rows, const double *xi, lanes_t y
   combine(t[0], TERMS, rows, c, TERMS, NULL, 1.0, y[0], L);
 }
 
-/* In eight sums whatever the vectors' width: the same to the last bit on all processors */
+/* Of L numbers, in eight sums whatever the vectors' width: the same bits on all processors */
 static inline double dot(const double *a, const double *b) {
   double s[8];
   SIMD for (int i = 0; i < 8; i++) s[i] = a[i] * b[i] + a[8 + i] * b[8 + i];
   return ((s[0] + s[4]) + (s[2] + s[6])) + ((s[1] + s[5]) + (s[3] + s[7]));
 }
 
-/* The k of edges[k] <= x < edges[k + 1], ends included; a guess is looked at first. */
+/* The k of edges[k] <= x < edges[k + 1], or the first or last k; guess: the one to try first */
 static int64_t interval(const double *edges, int64_t n, double x, int64_t guess) {
   if (guess < n && x >= edges[guess]) {
     if (guess == n - 1 || x < edges[guess + 1]) return guess;
@@ -266,7 +266,7 @@ static int64_t interval(const double *edges, int64_t n, double x, int64_t guess)
   return low;
 }
 
-/* Rows of a motion at places x, clipped to it */
+/* Rows of a motion's panels at places x, which are clipped to the panels' range */
 static void panels_at(const panels_t *p, int64_t row, int64_t rows, const double *x, lanes_t y) {
   const double end = p->edges[p->n];
   int64_t k = 0;
