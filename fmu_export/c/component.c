@@ -36,14 +36,14 @@ static void drop_plan(component_t *c, long i) {
 static void free_component(component_t *c) {
   if (!c) return;
   for (long i = 0; c->live && i < c->model->n_contacts; i++) drop_plan(c, i);
-  free(c->own), free(c->live), free(c->scene), free(c->grows);
+  free(c->own), free(c->live), free(c->scene), free(c->tangents);
   free_model(c->model);
   free(c);
 }
 
-/* Nothing is known any more of what was planned, or of what a solver has done. */
+/* Drops all that can be computed again, and what was noted of the solver's calls. */
 static void forget(component_t *c) {
-  c->changed = c->follows = 0;
+  c->changed = c->evaluated = 0;
   for (long i = 0; i < c->model->n_contacts; i++) drop_plan(c, i);
   forget_values(c);
 }
@@ -57,7 +57,7 @@ static void reset(component_t *c, int stepping) {
   forget(c);
 }
 
-/* Returns NULL, or what is wrong. */
+/* Returns what is wrong, or NULL. */
 static const char *make_component(component_t *c, const char *resources) {
   const char *wrong;
   if (!(c->model = read_model(resources, &wrong))) return wrong;
@@ -66,13 +66,13 @@ static const char *make_component(component_t *c, const char *resources) {
   c->engine = contact_engine();
   c->own = new_saved(m);
   c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
-  /* what lies there takes no more room than in the model's data, but for windows that are inputs */
+  /* behind the scene there is never more than all of the model's data and windows for inputs */
   const size_t scene = (size_t)m->head->scene.count;
   c->scene = malloc((scene + (size_t)m->head->size + 3 * WINDOW_SIZE) * sizeof(double));
-  c->grows = malloc((values + 2 * registers) * sizeof *c->grows + registers * sizeof(double));
-  if (!c->own || !c->live || !c->scene || !c->grows) return "no memory";
-  c->tangents = c->grows + values, c->along = c->tangents + registers;
-  c->registers = (double *)(c->along + registers);
+  c->tangents = malloc((values + 2 * registers) * sizeof *c->tangents + registers * sizeof(double));
+  if (!c->own || !c->live || !c->scene || !c->tangents) return "no memory";
+  c->system_tangents = c->tangents + values, c->surface_tangents = c->system_tangents + registers;
+  c->registers = (double *)(c->surface_tangents + registers);
   memcpy(c->scene, m->scene, scene * sizeof *c->scene);
   c->scene[S_CONTACTS] = 1, c->scene[S_PANELS] = MOST_PANELS;
   c->room = c->scene + scene;
@@ -125,7 +125,7 @@ static status_t set_states(component_t *c, const double *state) {
 }
 
 static status_t get_states(component_t *c, double *state, int rates) {
-  if (rates) c->follows |= c->changed, c->changed = 0;
+  if (rates) c->evaluated |= c->changed, c->changed = 0;
   for (long i = 0; i < c->model->n_contacts; i++) {
     const long at = at_of(c->model, i, rates ? OF_RATES : OF_STATES);
     const status_t s = get_values(c, (unsigned)at, states_of(c->model, i), state);

@@ -1,15 +1,14 @@
-/* A scene that is stepped or evaluated: all that fmi2.c and fmi3.c know of it, and nothing of FMI.
+/* A scene as a component that can be stepped or evaluated. fmi2.c and fmi3.c use nothing else of
+   it, and it knows nothing of FMI.
 
-   Two ways through one set of values. As a block that steps itself (Co-Simulation) each contact is
-   planned by the engine from its last event on, far ahead; a step is nothing but a later time, so
-   that nothing depends on how the horizon is cut. A change of an input or of the gain is an event:
-   the contact goes on from the engine's moment under what acts now. As a system of equations
-   (Model Exchange, and initialization in both) everything is a function of the states, by a table
-   of instructions that the engine runs.
+   One set of values is computed in two ways. In Co-Simulation the engine plans each contact far
+   ahead from its last event; a step only moves the time, so that results do not depend on the
+   steps' sizes. A change of an input or of the gain is an event: a new plan starts from the moment
+   (engine.h) that the old one has reached. In Model Exchange, and during initialization in both,
+   all results are functions of the states, by a table of instructions that the engine runs.
 
-   The FMI layer says what status_t is: OK, DISCARD and FAILED.
-
-   Everything is static: fmi2.c and fmi3.c each include all of it, so that no names meet. */
+   The FMI layer defines status_t: OK, DISCARD and FAILED. Everything is static: fmi2.c and fmi3.c
+   each include all of it, so that names do not clash. */
 #ifndef CONTACT_COMPONENT
 #define CONTACT_COMPONENT
 #include "model.h"
@@ -27,38 +26,38 @@ enum {
 
 enum { U1, V1, DU1, DV1, U2, V2, DU2, DV2, PSI, N_STATES };
 
-/* How a contact's motion began, and what acts on it besides windows: it is planned from that. */
+/* What a contact is planned from: its state at the last event, and what acts besides windows */
 typedef struct {
-  double begin, end; /* s; planned so far, or to be planned */
-  double gain, acting[DISTURBANCES];
-  double trigger;           /* that has last been heard */
-  double row[CONTACT_SIZE]; /* of the engine: K_MOMENT, and K_PLACE_1 and on */
+  double begin, end;                 /* s; planned to the end, or to be planned */
+  double gain, acting[DISTURBANCES]; /* acting: inputs */
+  double trigger;                    /* its value at the last `settle` */
+  double row[CONTACT_SIZE]; /* see engine.h; only K_MOMENT, and K_PLACE_1 and on, are set */
 } segment_t;
 
-/* Everything that changes, and nothing else: the FMU state is a copy of it. No pointers. In memory
-   values and segments follow. */
+/* All that an FMU state has to copy, without pointers. Values and segments follow it in memory. */
 typedef struct {
   int phase, stepping;
-  int settled; /* segments are those of the inputs and the gain */
+  int settled; /* segments have the present inputs and gain */
   int pending; /* time is at an edge of a window or leg, and values are still those before it */
-  int jumped;  /* a window has begun or ended, and the importer does not know */
-  int ended;   /* the last step asked for goes beyond sigma's end, or an event was there */
+  int jumped;  /* a window has begun or ended, and the importer has not been told */
+  int ended;   /* the last step was to pass the limit, or an event was at the limit */
   double time, stop_time;
-  double acts_at; /* as time, but at an edge: the edge itself, or while pending a hair before it */
+  double acts_at; /* values are of this time: `time`, or the edge that it is at, or while pending
+                     the greatest number below that edge */
   double limit;   /* where sigma turns negative */
 } memory_t;
 
-/* An FMU state, and the bytes of one */
+/* An FMU state; serialized, the same bytes */
 typedef struct {
   unsigned long long mark, version, length, model, checksum;
   memory_t memory; /* and what follows it */
 } saved_t;
 
-/* What is known of a contact, and made again where it is not */
+/* What can be computed again from the state, of one contact */
 typedef struct {
-  plan_t *plan;   /* of its segment */
+  plan_t *plan;   /* of its segment, or NULL */
   int derived;    /* whether its derivatives are asked for */
-  unsigned valid; /* groups that belong to time and inputs */
+  unsigned valid; /* bits of the groups whose values are up to date */
 } live_t;
 
 typedef struct {
@@ -69,27 +68,27 @@ typedef struct {
   double *value;      /* in *now */
   segment_t *segment; /* in *now */
   live_t *live;
-  double *scene;         /* the engine's, of one contact at a time; and what lies behind it: */
-  double *room;          /* what is added to it, constants of tables, roots */
-  double (*grows)[L];    /* derivatives of all values */
-  double *registers;     /* of the table that is run */
-  double (*tangents)[L]; /* derivatives of those of equations; */
-  double (*along)[L];    /* and of others, by which contacts start */
+  double *scene;                 /* the engine's buffer, of one contact at a time; behind it: */
+  double *room;                  /* scratch for windows and numbers, constants of tables, roots */
+  double (*tangents)[L];         /* derivatives of all values in L directions */
+  double *registers;             /* of the table that is run */
+  double (*system_tangents)[L];  /* of the registers of a contact's equations */
+  double (*surface_tangents)[L]; /* of the registers of a surface's tables, for the start */
   failure_t failure;
   const char *called; /* the function of FMI that the importer has called */
-  void (*log)(void);  /* its logger, of the type its version of FMI says */
+  void (*log)(void);  /* the importer's logger, of the type in its version of FMI */
   void *environment;  /* the logger's */
   char name[256];
-  int uses_events, early_return; /* the importer handles events; and steps that they end early */
-  int changed, follows; /* inputs changed in continuous time; the solver has evaluated that since */
+  int uses_events, early_return; /* the importer handles events; and steps that end early at them */
+  int changed, evaluated; /* an input changed in continuous time; then rates were evaluated */
 } component_t;
 
 #define MOST_PANELS 20000.0 /* of one plan: a second of work, kilometres of path */
 
-/* whether states are given and results follow from them, else plans are */
+/* whether results are computed from the states, else from plans */
 #define SYSTEM(now) (!(now)->stepping || ((now)->phase & (INSTANTIATED | INITIALIZATION)))
 
-/* What the engine and tables look at may be no number; importers may trap that. */
+/* The engine may compute with NaN; importers may trap invalid operations. */
 #define UNTRAPPED(...)                                                                             \
   do {                                                                                             \
     fenv_t traps;                                                                                  \
@@ -108,10 +107,10 @@ static inline int all_finite(const double *x, long n) {
   return 1;
 }
 
-/* The FMI layer's: hands a text to the importer. */
+/* Hands a text to the importer; defined by the FMI layer. */
 static void log_text(component_t *, status_t, const char *text);
 
-/* Logs and returns the status, in a category of its own. The text may hold anything. */
+/* Logs a text, in the category of the status, and returns the status. */
 static status_t report(component_t *, status_t, const char *format, ...)
 #if defined(__GNUC__)
     __attribute__((format(printf, 3, 4)))

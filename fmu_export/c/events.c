@@ -1,6 +1,6 @@
-/* What lets a contact go on otherwise than planned: inputs, the gain, what was measured of it. */
+/* Events that change a contact's plan: new inputs, a new gain, a measurement. */
 
-/* Whether an input accelerates a path that rests; it has no rates, and can be looked at without. */
+/* Whether an input accelerates contact i at rest: then W' is infinite, and no step is possible. */
 static int pushed_at_rest(const component_t *c, long i) {
   const double *input = values_of(c, i, OF_INPUTS);
   for (int j = 0; j < 4; j++)
@@ -8,7 +8,7 @@ static int pushed_at_rest(const component_t *c, long i) {
   return 0;
 }
 
-enum { TRIGGER, MEASURED }; /* places among the inputs of what is measured */
+enum { TRIGGER, MEASURED }; /* offsets in the group OF_MEASURED */
 
 /* Finds the states of contact i at the measured pose, by Newton's method from its planned place; or
    takes the states that are measured, with a table of no unknowns. found: states, and roots of the
@@ -43,88 +43,88 @@ static const char *sense(component_t *c, long i, const double states[N_STATES],
                "frame; measure a moment later";
 }
 
-/* The segment s of contact i begins now at these states; root: of the metrics. Returns what is
-   wrong, or NULL. */
-static const char *begin_at(component_t *c, long i, segment_t *s, const double x[N_STATES],
-                            const double *root) {
+/* Lets segment s of contact i begin now at these states (u1 v1 u1' v1' ... psi); root: M_1 and M_2,
+   column by column. Returns what is wrong, or NULL. */
+static const char *restart_at_states(component_t *c, long i, segment_t *s, const double x[N_STATES],
+                                     const double *root) {
   const double sigma = sigma_now(c, i);
-  double acting[DISTURBANCES], moved[2][2], *to = s->row;
+  double acting[DISTURBANCES], path[2][2], *to = s->row;
   acting_on(c, i, acting);
   for (int side = 0; side < 2; side++, root += 4) {
-    const double *offset = acting + 4; /* what drives the feedback has none */
+    const double *offset = acting + 4; /* in the object's rates, but not in its path velocity */
     const double du = x[4 * side + 2] - side * offset[0], dv = x[4 * side + 3] - side * offset[1];
-    for (int a = 0; a < 2; a++) moved[side][a] = (root[a] * du + root[2 + a] * dv) / sigma;
+    for (int a = 0; a < 2; a++) path[side][a] = (root[a] * du + root[2 + a] * dv) / sigma;
   }
-  if (!all_finite(moved[0], 4))
+  if (!all_finite(path[0], 4))
     return "it is measured at a singular point of a chart; measure a moment later";
   memset(to, 0, sizeof s->row);
   memcpy(to + K_PLACE_1, x + U1, 2 * sizeof *x), memcpy(to + K_PLACE_2, x + U2, 2 * sizeof *x);
   /* the finger's frame is turned by -psi, so that R_0 = diag(1, -1) as in the equations */
-  const double cs = cos(x[PSI]), sn = sin(x[PSI]), *w = moved[0];
+  const double cs = cos(x[PSI]), sn = sin(x[PSI]), *w = path[0];
   to[K_PLACE_1 + 2] = -x[PSI];
   to[K_W1] = cs * w[0] - sn * w[1], to[K_W1 + 1] = sn * w[0] + cs * w[1];
-  memcpy(to + K_Y, moved[1], 2 * sizeof *x);
+  memcpy(to + K_Y, path[1], 2 * sizeof *x);
   s->begin = c->now->acts_at;
   return NULL;
 }
 
-/* The segment s of contact i begins where it is measured. Returns what is wrong, or NULL. */
-static const char *begin_measured(component_t *c, long i, segment_t *s) {
+/* Lets segment s of contact i begin where it is measured. Returns what is wrong, or NULL. */
+static const char *restart_at_measurement(component_t *c, long i, segment_t *s) {
   const int posed = c->model->contacts[i].unknowns[0] > 0;
-  int sided = posed;
+  int by_plan = posed;
   const double *planned = values_of(c, i, OF_COORDINATES), *points = values_of(c, i, OF_POINTS);
   const double *found;
   double x[N_STATES];
   if (!(sigma_now(c, i) > 0))
     return "sigma is zero, so that rates do not determine path velocities; measure while sigma > 0";
-  for (int side = 0; side < 2; side++) sided |= surface_of(c->model, i, side)->double_cover;
-  /* the plan tells on which side of a chart it is, and where to begin to look for it */
-  if (sided)
-    sided = !cover(c, i, c->now->acts_at) &&
-            !look(c, i, time_on(c, i), BIT(OF_COORDINATES) | (posed ? BIT(OF_POINTS) : 0));
-  if (posed && !sided) return "its plan has no coordinates there; measure a moment later";
+  for (int side = 0; side < 2; side++) by_plan |= surface_of(c->model, i, side)->double_cover;
+  /* the plan gives the branch of a double cover, and where the search for the contact begins */
+  if (by_plan)
+    by_plan = !plan_to(c, i, c->now->acts_at) &&
+              !evaluate(c, i, time_on(c, i), BIT(OF_COORDINATES) | (posed ? BIT(OF_POINTS) : 0));
+  if (posed && !by_plan) return "its plan has no coordinates there; measure a moment later";
   const char *wrong = sense(c, i, planned, points, &found);
   if (wrong) return wrong;
   memcpy(x, found, sizeof x);
-  for (int side = 0; side < 2 && sided; side++) {
+  for (int side = 0; side < 2 && by_plan; side++) {
     double *own = x + 4 * side, place[5] = {own[0], own[1], own[2], own[3], x[PSI]};
     const double beside[3] = {planned[4 * side], planned[4 * side + 1], planned[PSI]};
     c->engine->wind(surface_of(c->model, i, side), beside, place);
     memcpy(own, place, 4 * sizeof *own), x[PSI] = place[4];
   }
-  return begin_at(c, i, s, x, found + N_STATES);
+  return restart_at_states(c, i, s, x, found + N_STATES);
 }
 
-/* Contacts whose inputs or gain are no longer those of their segment begin another; else there are
-   no such values, or no such step, at that time. */
+/* Begins a new segment of each contact whose inputs, gain or measurement have changed. If that
+   fails, the log says that there is no `what` (values, or a step) to the target. */
 static status_t settle(component_t *c, const char *what, double target) {
   memory_t *now = c->now;
   if (now->settled) return OK;
-  int rest = 0;
+  int any_pushed = 0;
   for (long i = 0; i < c->model->n_contacts; i++) {
     segment_t *s = c->segment + i;
     const int pushed = pushed_at_rest(c, i);
-    rest |= pushed;
+    any_pushed |= pushed;
     double acting[DISTURBANCES];
     for (int j = 0; j < DISTURBANCES; j++)
       acting[j] = pushed && j < 4 ? 0.0 : values_of(c, i, OF_INPUTS)[j];
     const int measures = at_of(c->model, i, OF_MEASURED) < at_of(c->model, i, OF_STATES);
-    const double heard = measures ? values_of(c, i, OF_MEASURED)[TRIGGER] : 0.0;
-    const int again = heard != 0.0 && heard != s->trigger;
-    s->trigger = heard;
-    if (!again && s->gain == c->value[GAIN] && !memcmp(s->acting, acting, sizeof acting)) continue;
+    const double trigger = measures ? values_of(c, i, OF_MEASURED)[TRIGGER] : 0.0;
+    const int fresh = trigger != 0.0 && trigger != s->trigger; /* a new measurement */
+    s->trigger = trigger;
+    if (!fresh && s->gain == c->value[GAIN] && !memcmp(s->acting, acting, sizeof acting)) continue;
     const double at = now->acts_at, lasted = at - s->begin;
     double end = s->end;
-    if (again || !reached(s->begin, at)) {
-      if (again) {
+    if (fresh || !reached(s->begin, at)) {
+      if (fresh) {
         const char *wrong;
-        UNTRAPPED(wrong = begin_measured(c, i, s));
+        UNTRAPPED(wrong = restart_at_measurement(c, i, s));
         c->failure = (failure_t){.code = STUCK};
         if (wrong) return refuse_motion(c, DISCARD, i, what, target, wrong);
-      } else if (cover(c, i, at) || go_on(c, c->live[i].plan, time_on(c, i), s)) {
+      } else if (plan_to(c, i, at) || restart_segment(c, c->live[i].plan, time_on(c, i), s)) {
         return refuse_motion(c, DISCARD, i, what, target, NULL);
       }
-      end = at + lasted; /* where events follow each other closely, it is no use to plan far */
+      end = at + lasted; /* when events are frequent, planning far ahead is waste */
     }
     s->end = end_of(c, s->begin, end, target);
     s->gain = c->value[GAIN];
@@ -132,6 +132,6 @@ static status_t settle(component_t *c, const char *what, double target) {
     drop_plan(c, i);
   }
   forget_values(c);
-  now->settled = !rest;
+  now->settled = !any_pushed;
   return OK;
 }

@@ -1,11 +1,11 @@
-/* What FMI 2 and FMI 3 have alike: instances, call order, access to values, FMU states. fmi2.c and
-   fmi3.c say first what differs:
+/* What FMI 2 and FMI 3 have in common: instances, order of calls, values, FMU states. Before they
+   include this, fmi2.c and fmi3.c define what differs:
 
    FMI(name)     a function's name
    SIZE(c, r)    how many values a reference has, 0: there is no such reference
-   status_t      OK, DISCARD, FAILED;  BOOLEAN, BYTE  types; the others are the same
-   ROOM(n)       the parameter behind an array of values: how many they are; ROOM_OF(count, n)
-   TOKEN         what it calls the token
+   status_t      with OK, DISCARD, FAILED;  BOOLEAN, BYTE  types
+   ROOM(n)       FMI 3's parameter for how many values an array has; ROOM_OF(count, n): that number
+   TOKEN         how the standard calls the token
  */
 #include "component.c"
 #ifdef SCENE_INSIDE
@@ -23,7 +23,7 @@
 static const char *const category_of[] = {[DISCARD] = "logStatusDiscard",
                                           [FAILED] = "logStatusError"};
 
-/* where values can be got, and where some of them may be set */
+/* states of the instance in which values can be got, and some may be set */
 #define RUNNING (INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED)
 #define ANY (INSTANTIATED | RUNNING)
 #define SETTABLE (ANY & ~TERMINATED)
@@ -58,7 +58,7 @@ static status_t allowed(component_t *c, int phases) {
 #define STEPPING_ONLY(phases)                                                                      \
   BEGIN(phases);                                                                                   \
   if (!c->now->stepping) REFUSE("the instance was made for Model Exchange")
-/* What only leads from some states to another; what there is not; what is asked of no variable */
+/* Functions that only change the state; that this model does not have; that have no variables */
 #define LEADS_TO(phase_after, name, begin)                                                         \
   EXPORT status_t FMI(name)(void *instance) {                                                      \
     begin;                                                                                         \
@@ -102,8 +102,8 @@ static component_t *instantiate(const char *called, const char *name, const char
 
 EXPORT void FMI(FreeInstance)(void *instance) { free_component(instance); }
 
-/* The importer is told why something is refused in any case, as FMI 2.0.5 expects of errors
-   (section 2.1.3): importers say no more than a status. FMI 3.0.2 silences errors with loggingOn =
+/* The reason of a refusal is logged in any case, as FMI 2.0.5 expects of errors (section 2.1.3): of
+   themselves importers show no more than a status. FMI 3.0.2 silences errors with loggingOn =
    false, but its successor takes that back, and the Reference FMUs never did. */
 EXPORT status_t FMI(SetDebugLogging)(void *instance, BOOLEAN on, size_t count,
                                      const char *const categories[]) {
@@ -158,7 +158,7 @@ EXPORT status_t FMI(Reset)(void *instance) {
 
 /* --- values ----------------------------------------------------------------------------------- */
 
-/* Refuses missing pointers, unknown references and another number of values than theirs. */
+/* Refuses missing pointers, unknown references and a wrong number of values. */
 static status_t check_values(component_t *c, const unsigned vr[], size_t count, const double *value,
                              size_t room) {
   size_t all = 0;
@@ -229,8 +229,8 @@ EXPORT status_t FMI(SetReal)(void *instance, const unsigned vr[], size_t count,
   return OK;
 }
 
-/* Products with the matrix of derivatives, from the seed's direction along all knowns; transposed:
-   from those along each known, L at once, as the seed is of the unknowns. */
+/* Jacobian times seed, by derivatives in one direction; or transposed, Jacobian^T times seed, by
+   derivatives along each known, L at once. */
 static status_t multiply(component_t *c, int transposed, const unsigned unknowns[],
                          size_t n_unknowns, const unsigned knowns[], size_t n_knowns,
                          const double *seed, double *value, size_t n) {
@@ -242,12 +242,12 @@ static status_t multiply(component_t *c, int transposed, const unsigned unknowns
   for (size_t done = 0; done < (transposed ? n : 1); done += L) {
     const size_t more = !transposed ? 1 : n - done < L ? n - done : L;
     at = 0;
-    memset(c->grows, 0, (size_t)c->model->n_values * sizeof *c->grows);
+    memset(c->tangents, 0, (size_t)c->model->n_values * sizeof *c->tangents);
     EACH_VALUE(r, knowns, n_knowns) {
       if (!transposed)
-        c->grows[r][0] += seed[at];
+        c->tangents[r][0] += seed[at];
       else if (at >= done && at < done + more)
-        c->grows[r][at - done] = 1.0;
+        c->tangents[r][at - done] = 1.0;
       at++;
     }
     const status_t s = derive(c);
@@ -255,9 +255,9 @@ static status_t multiply(component_t *c, int transposed, const unsigned unknowns
     at = 0;
     EACH_VALUE(r, unknowns, n_unknowns) {
       for (size_t d = 0; d < more && (!transposed || seed[at] != 0.0); d++) {
-        const status_t wrong = check_found(c, r, c->grows[r] + d, 1);
+        const status_t wrong = check_found(c, r, c->tangents[r] + d, 1);
         if (wrong) return wrong;
-        value[transposed ? done + d : at] += (transposed ? seed[at] : 1.0) * c->grows[r][d];
+        value[transposed ? done + d : at] += (transposed ? seed[at] : 1.0) * c->tangents[r][d];
       }
       at++;
     }
@@ -265,7 +265,7 @@ static status_t multiply(component_t *c, int transposed, const unsigned unknowns
   return OK;
 }
 
-/* Transposed, the seed is of the unknowns, and products are of the knowns. */
+/* Checks and computes these products. Transposed, the seed has the size of the unknowns. */
 static status_t products(component_t *c, int transposed, const unsigned unknowns[],
                          size_t n_unknowns, const unsigned knowns[], size_t n_knowns,
                          const double seed[], size_t n_seed, double value[], size_t n) {
@@ -367,7 +367,7 @@ EXPORT status_t FMI(DeserializeFMUState)(void *instance, const BYTE bytes[], siz
     REFUSE("serialized FMU state refused: %s; use the bytes that this FMU wrote, as they are",
            wrong);
   }
-  *state = s; /* what was there before is nothing to read: it may be uninitialized */
+  *state = s; /* *state is not read, as it may be uninitialized */
   return OK;
 }
 
@@ -379,10 +379,10 @@ EXPORT status_t FMI(CompletedIntegratorStep)(void *instance, BOOLEAN no_return,
                                              BOOLEAN *enter_event_mode, BOOLEAN *terminate) {
   SYSTEM_ONLY(CONTINUOUS);
   NEEDS(enter_event_mode && terminate);
-  /* inputs jump that the solver's evaluations have held: it is to restart */
-  *enter_event_mode = c->changed && !c->follows, *terminate = 0;
+  /* an input has jumped since the solver's last evaluation: it must restart */
+  *enter_event_mode = c->changed && !c->evaluated, *terminate = 0;
   c->now->jumped |= *enter_event_mode;
-  c->changed = c->follows = 0;
+  c->changed = c->evaluated = 0;
   return OK;
 }
 
@@ -415,8 +415,8 @@ EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], size
 
 /* --- events and steps ------------------------------------------------------------------------- */
 
-/* What an update says; importers restart their solvers where values have changed, and what acts may
-   have jumped. */
+/* The results of an update of discrete states. `values` is true also where only a window has begun
+   or ended: importers then restart their solvers. */
 static void update(component_t *c, BOOLEAN *terminate, BOOLEAN *values, BOOLEAN *next_defined,
                    double *next_time) {
   enter_windows(c);

@@ -1,5 +1,5 @@
 /* FMI 2.0.4 over component.h. */
-#ifdef SCENE_INSIDE /* for an importer, whose headers say how functions are called */
+#ifdef SCENE_INSIDE /* compiled by an importer, whose headers name the functions */
 #include "fmi2Functions.h"
 #else
 #include <stddef.h>
@@ -29,14 +29,14 @@ typedef struct {
 #define DISCARD fmi2Discard
 #define FAILED fmi2Error
 #define BYTE fmi2Byte
-/* elements are variables; time is none */
+/* each element is a variable; time, reference 0, is none */
 #define SIZE(c, r) (unsigned)((r) > 0 && (r) < (unsigned)(c)->model->n_values)
 #define BOOLEAN int
 #define ROOM(n)
 #define ROOM_OF(count, n) (count)
 #define GETTABLE RUNNING
 #define TOKEN "GUID"
-/* names that FMI 3 writes otherwise */
+/* names that FMI 3 spells otherwise */
 #define GetFMUState GetFMUstate
 #define SetFMUState SetFMUstate
 #define FreeFMUState FreeFMUstate
@@ -120,7 +120,7 @@ EXPORT status_t FMI(DoStep)(void *instance, double from, double size, int no_ret
 
 NOT_THERE(CancelStep, "no step is under way", void *instance)
 
-/* What is asked of a step that is over; only `known`, if any, has a value. */
+/* The status of the last step, which has a value only where `known` is true */
 #define STATUS_OF_STEP(name, type, known, found, words)                                            \
   EXPORT status_t FMI(name)(void *instance, const fmi2StatusKind kind, type *value) {              \
     STEPPING_ONLY(STEP | TERMINATED);                                                              \

@@ -1,5 +1,5 @@
 /* FMI 3.0.2 over component.h. */
-#ifdef SCENE_INSIDE /* for an importer, whose headers say how functions are called */
+#ifdef SCENE_INSIDE /* compiled by an importer, whose headers name the functions */
 #include "fmi3Functions.h"
 #else
 #include <stdint.h>

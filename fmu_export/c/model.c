@@ -11,7 +11,7 @@ static unsigned adler32(const void *data, size_t count) {
   return b << 16 | a;
 }
 
-/* What lies at a place */
+/* What lies at a place of the data */
 static inline const void *data_at(const model_t *m, int64_t place) {
   return (const int64_t *)m->head + place;
 }
@@ -96,7 +96,7 @@ static void free_model(model_t *m) {
   free(m->head), free(m->surfaces), free(m->own), free(m->tables), free(m);
 }
 
-/* Returns NULL and says why where there is no scene that fits. */
+/* Returns NULL, and in *wrong why, if there is no scene of this version. */
 static model_t *read_model(const char *resources, const char **wrong) {
   size_t count = 0;
   model_t *m = calloc(1, sizeof *m);

@@ -2,7 +2,7 @@
    scene.inc.
 
    Numbers of 8 bytes; places count them from the beginning. Texts and instructions lie between them
-   as bytes. `fmu_export/data.py` writes what stands here, in this order; versions are checked. */
+   as bytes. `fmu_export/data.py` writes what stands here, in this order; its version is checked. */
 #ifndef CONTACT_MODEL
 #define CONTACT_MODEL
 #include "engine.h"
@@ -25,13 +25,13 @@ typedef struct {
 } section_t;
 
 typedef struct {
-  int64_t version;    /* raised with each change; data is known by it */
+  int64_t version;    /* DATA_VERSION, raised with each change of this layout */
   int64_t size;       /* numbers in all */
   int64_t checksum;   /* of what follows the header, 32 bits */
-  int64_t registers;  /* that tables have at most */
+  int64_t registers;  /* the most that a table has */
   int64_t names;      /* texts, one after the other, of all values */
-  int64_t starts;     /* double, of all values, */
-  int64_t least;      /* and the least ones that they may have */
+  int64_t starts;     /* double, of all values */
+  int64_t least;      /* double, of all values: the least that may be set */
   int64_t nominals;   /* double, of all states */
   int64_t sensor;     /* sensor_t */
   section_t scene;    /* double: the engine's buffer, at the start and without windows */
@@ -48,10 +48,10 @@ typedef struct {
 typedef struct {
   int64_t owner; /* its contact, -1: of all */
   int64_t kind;  /* CALCULATED and so on */
-  int64_t size;  /* how many it is the first of, as FMI 3 sees it; 0: not the first of an array */
+  int64_t size;  /* of the array that it is the first element of, in FMI 3; 0: not the first */
 } value_t;
 
-/* groups of a contact's values; results are those from the states on */
+/* groups of a contact's values; from the states on they are results */
 enum {
   OF_INPUTS,
   OF_MEASURED,
@@ -69,36 +69,36 @@ enum {
 
 typedef struct {
   int64_t own_legs;           /* 0: its only leg has the scene's profile, which is a parameter */
-  int64_t parameters[2];      /* references of the first ones of finger and object */
-  int64_t groups[GROUPS + 1]; /* references where they begin, and where the last one ends */
-  int64_t columns;   /* int64_t, references of its point and constants; -1: of a leg's profile */
+  int64_t parameters[2];      /* references of the first one of finger and object */
+  int64_t groups[GROUPS + 1]; /* references where groups begin, and where the last one ends */
+  int64_t columns;   /* int64_t, references of the inputs and constants of `system`; -1: a leg's */
   int64_t system;    /* the table of its equations */
-  int64_t frames[2]; /* sizes of finger's and object's among its states: 6, a point and an axis, or
-                        3, coordinates and an angle */
-  int64_t sensor;    /* where it is measured: the table of a step towards the contact, */
-  int64_t unknowns[2]; /* and how many each body has in a pose: 3, a point, 2, coordinates */
+  int64_t frames[2]; /* how many states are the finger's and the object's frame: 6, point and axis,
+                        or 3, coordinates and angle */
+  int64_t sensor;    /* if it is measured: the table of a step of Newton's method, see events.c */
+  int64_t unknowns[2]; /* of the method, for each body: 3, a point; 2, coordinates; or 0 */
 } contact_t;
 
 typedef struct {
   int64_t contact, slot;
-  int64_t values; /* reference of start, stop and two components */
+  int64_t values; /* reference of the first of start, stop and two components */
 } window_t;
 
-/* a surface: which of the engine's, or -1; its own tables, -1: none; the rest of surface_t */
+/* a surface: its number in the engine, or -1; its tables, -1: none; the rest of surface_t */
 typedef struct {
   int64_t builtin, tables[2 * N_MOVED];
   int32_t n_numbers, double_cover, closed, may_be_singular;
   double period_u, period_v;
 } shape_t;
 
-/* a table: the first numbers of table_t; where its instructions and literals lie */
+/* a table: the first numbers of table_t; places of its instructions and literals */
 typedef struct {
   int32_t numbers[8];
   int64_t prologue, body, literals;
 } written_t;
 
 enum { TIME_VALUE, GAIN, SCALE, PROFILE };                                /* references */
-enum { CALCULATED, INDEPENDENT, CONSTANT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */
+enum { CALCULATED, INDEPENDENT, CONSTANT, FIXED, TUNABLE, INPUT, EXACT }; /* kinds of values */
 enum { DISTURBANCES = 6, MOST_STATES = 6 + 6 + 4 }; /* of a contact: two frames, W_1 and V */
 
 typedef struct {

@@ -1,6 +1,6 @@
-/* The engine's plans of contacts, each from where its segment begins. */
+/* Plans of contacts by the engine, each from the beginning of the contact's segment. */
 
-/* The body's row of the engine's scene; its numbers go to *next. Scales follow its lengths. */
+/* Puts a body into `row` and its numbers to *next; its size and bend scale with its lengths. */
 static void put_body(component_t *c, long i, int side, double **next, double *row) {
   const model_t *m = c->model;
   const int has_lengths = surface_of(m, i, side)->name[0] != 0; /* else it is a user's */
@@ -26,10 +26,10 @@ static void put_window(double **next, double slot, double start, double stop, co
   *next += WINDOW_SIZE;
 }
 
-/* The engine's plan of contact i under a segment; NULL, with c->failure, where there is none. */
+/* A plan of contact i from a segment; NULL, with c->failure, if there is none. */
 static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   const model_t *m = c->model;
-  const leg_t leg = leg_of(c, i, 0); /* of others nothing can be set */
+  const leg_t leg = leg_of(c, i, 0); /* only this leg's profile can be set */
   double *b = c->scene, *row = b + S_HEADER, *next = c->room;
   plan_t *found;
   c->failure = (failure_t){.code = STUCK};
@@ -56,13 +56,13 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   return found;
 }
 
-/* The time that values of contact i are of, on its segment */
+/* The time that values of contact i are of, or the nearest one on its segment */
 static double time_on(const component_t *c, long i) {
   return fmin(fmax(c->now->acts_at, c->segment[i].begin), c->segment[i].end);
 }
 
-/* A segment goes on at time t from where a plan of it has come to. */
-static int go_on(component_t *c, plan_t *plan, double t, segment_t *s) {
+/* Lets segment s begin at time t, from the plan's moment there. Returns nonzero if that fails. */
+static int restart_segment(component_t *c, plan_t *plan, double t, segment_t *s) {
   int wrong;
   UNTRAPPED(wrong = c->engine->moments(plan, t, s->row + K_PLACE_1, &c->failure));
   if (!wrong) s->begin = t, s->row[K_MOMENT] = 1.0;
@@ -80,8 +80,8 @@ static void put_states(const model_t *m, long i, const double *row, double *to) 
   memcpy(to, row + K_W1, 4 * sizeof *to);
 }
 
-/* Evaluates groups of contact i at time t into its values; returns not 0 where a group has none. */
-static int look(component_t *c, long i, double t, unsigned groups) {
+/* Evaluates groups of contact i at time t; returns nonzero if one of them has no values there. */
+static int evaluate(component_t *c, long i, double t, unsigned groups) {
   plan_t *plan = c->live[i].plan;
   segment_t now;
   int wrong;
@@ -93,7 +93,7 @@ static int look(component_t *c, long i, double t, unsigned groups) {
   if (groups & BIT(OF_POINTS)) out[POINTS] = values_of(c, i, OF_POINTS);
   if (groups & BIT(OF_SLIP_SPEED)) out[SLIP_SPEED] = values_of(c, i, OF_SLIP_SPEED);
   UNTRAPPED(wrong = c->engine->look(plan, t, out, &c->failure));
-  if (wrong || (groups & BIT(OF_STATES) && go_on(c, plan, t, &now))) return 1;
+  if (wrong || (groups & BIT(OF_STATES) && restart_segment(c, plan, t, &now))) return 1;
   if (groups & BIT(OF_STATES)) put_states(c->model, i, now.row, values_of(c, i, OF_STATES));
   for (int r = 0; r < 3 && out[POSE]; r++) {
     memcpy(values_of(c, i, OF_POSE) + 3 * r, pose + 4 * r, 3 * sizeof *pose);
@@ -105,7 +105,7 @@ static int look(component_t *c, long i, double t, unsigned groups) {
 /* The shortest segment from t on */
 static double least_span(double t) { return 8 * DBL_EPSILON * fmax(1.0, t); }
 
-/* A segment's end, at an edge a bit later: values there are those after it. */
+/* A segment's end; at an edge it is a bit later, as values at an edge are those after it. */
 static double end_of(const component_t *c, double begin, double end, double target) {
   end = fmin(fmax(fmax(end, target), begin + least_span(begin)), c->now->limit);
   const double edge = edge_at(c, end, 1);
@@ -113,7 +113,7 @@ static double end_of(const component_t *c, double begin, double end, double targ
   return fmin(end, c->now->limit);
 }
 
-/* Plans a segment to its end; to the target at least, where something stands in the way behind. */
+/* Plans a segment to its end or, if that fails, to an earlier time not before the target. */
 static plan_t *plan_ahead(component_t *c, long i, segment_t *s, double target) {
   const double end = s->end;
   plan_t *found = plan_of(c, i, s);
@@ -125,16 +125,16 @@ static plan_t *plan_ahead(component_t *c, long i, segment_t *s, double target) {
   return found;
 }
 
-/* Sees to a plan of contact i that reaches the target, from where it is if that of its segment does
-   not. Returns not 0 where there is none, and the contact is as it was. */
-static int cover(component_t *c, long i, double target) {
+/* Makes sure that contact i has a plan to the target: of its segment, or of a new one from now on.
+   Returns nonzero, with the contact as it was, if there is none. */
+static int plan_to(component_t *c, long i, double target) {
   live_t *k = c->live + i;
   segment_t *s = c->segment + i, next;
   if (!k->plan) k->plan = plan_ahead(c, i, s, fmax(target, s->begin));
   if (!k->plan) return 1;
   if (reached(s->end, target)) return 0;
   next = *s;
-  if (go_on(c, k->plan, time_on(c, i), &next)) return 1;
+  if (restart_segment(c, k->plan, time_on(c, i), &next)) return 1;
   next.end = end_of(c, next.begin, next.begin + 2 * (next.begin - s->begin), target);
   plan_t *found = plan_ahead(c, i, &next, target);
   if (!found) return 1;
@@ -148,7 +148,7 @@ static int cover(component_t *c, long i, double target) {
   "sigma is zero, and an acceleration cannot act on a path that rests; accelerate "                \
   "while sigma > 0, or disturb the object's rates"
 
-/* Why the engine has no plan, as a line in the log; why: known otherwise, or NULL. */
+/* Logs why there is no plan: `why` or, if that is NULL, the engine's failure. */
 static status_t refuse_motion(component_t *c, status_t status, long i, const char *what,
                               double target, const char *why) {
   const failure_t *f = &c->failure;

@@ -1,14 +1,14 @@
-/* What changes with time alone: sigma, where it turns and ends, legs and windows. */
+/* What depends on time alone: sigma, its extrema and its end, legs and windows. */
 
 #include "polynomial.h"
 
-#define AGES 1e9        /* s, 30 years: what sigma does later is nothing to look for */
+#define AGES 1e9        /* s, 30 years: later zeros and extrema of sigma are ignored */
 #define LOOK_AHEAD 1.05 /* a solver may look this far beyond sigma's end, within its last step */
 
 /* ---- legs ---- */
 
-/* A leg of a contact's path: sigma in time from its start on, which is the time when the path turns
-   by an angle of this cosine and sine */
+/* A leg of a contact's path: its start; sigma, in time since then; cosine and sine of the angle by
+   which the path turns at the start */
 typedef struct {
   double start;
   const double *sigma, *turn;
@@ -17,7 +17,7 @@ typedef struct {
 
 static long n_legs(const model_t *m, long i) { return (long)row_of(m, i)[K_LEGS_SIZE]; }
 
-/* Where it has no legs, a contact is on one that has the scene's profile. */
+/* Leg k of contact i; a contact without legs of its own has one, with the scene's profile. */
 static leg_t leg_of(const component_t *c, long i, long k) {
   const double *scene = c->model->scene;
   const double *row = scene + (long)row_of(c->model, i)[K_LEGS] + k * LEG_SIZE;
@@ -38,7 +38,7 @@ static double sigma_now(const component_t *c, long i) {
   return horner(leg.sigma, leg.n, c->now->acts_at - leg.start);
 }
 
-/* sigma of a leg at a time since its start, or 0 where that is but rounding */
+/* sigma of a leg at a time since its start, or 0 if it is no more than rounding */
 static double clear_sigma(const leg_t *leg, double t) {
   return clear_value(leg->sigma, leg->n, t, horner(leg->sigma, leg->n, t));
 }
@@ -52,7 +52,7 @@ static long signs_of(const component_t *c, const leg_t *leg, int order, double f
   return n;
 }
 
-/* Only the last leg's sigma may turn negative. */
+/* Finds the limit. Only the last leg's sigma may turn negative. */
 static void study_profiles(component_t *c) {
   c->now->limit = HUGE_VAL;
   for (long i = 0; i < c->model->n_contacts; i++) {
@@ -72,13 +72,13 @@ static int rests(const component_t *c, long i) {
   return clear_sigma(&leg, c->now->time - leg.start) <= 0;
 }
 
-/* Whether the path leaves a rest under a law that makes up for growth, which no slip does. */
+/* Whether the path is at rest under a law that makes up for growth: slip is then gone for good. */
 static int leaves_slip_behind(const component_t *c, long i) {
   return makes_up(c->model) && rests(c, i);
 }
 
-/* Times this near are one time: steps of 0.1 s do not add up to 1 s. The edge may be infinite; a
-   tolerance of its size would be too, and inf - inf ends programs that trap invalid operations. */
+/* Whether a time is at an edge or later, but for rounding: steps of 0.1 s do not add up to 1 s. The
+   tolerance is relative to `time`, as the edge may be infinite, and inf - inf may be trapped. */
 static inline int reached(double time, double edge) {
   return edge - time <= 8 * DBL_EPSILON * fmax(1.0, fabs(time));
 }
@@ -105,7 +105,7 @@ static double edge_of(const component_t *c, long k) {
   return corner < 0 ? window_values(c, k / 2)[k % 2] : corners[corner];
 }
 
-/* The next edge; of a system of equations also where its law changes its form or sigma ends */
+/* The next edge; in Model Exchange also where the gain law changes its form or sigma ends */
 static double next_edge(const component_t *c) {
   const memory_t *now = c->now;
   double next = HUGE_VAL;
@@ -122,8 +122,8 @@ static double next_edge(const component_t *c) {
   return next;
 }
 
-/* The first or last edge that a time is but for rounding, as 0.3 and 0.1 + 0.2 are one; infinite
-   where it is none */
+/* The first or last edge that equals a time but for rounding, as 0.3 equals 0.1 + 0.2; infinite if
+   there is none */
 static double edge_at(const component_t *c, double time, int last) {
   double found = last ? -HUGE_VAL : HUGE_VAL;
   for (long k = 0; k < n_edges(c->model); k++) {
@@ -139,7 +139,7 @@ static double snapped(const component_t *c, double time) {
   return isfinite(edge) ? edge : time;
 }
 
-/* Whether a window acts on contact i at the time that values are of */
+/* Whether window k acts on contact i at the time that values are of */
 static int acts(const component_t *c, long k, long i) {
   const double *edge = window_values(c, k), at = c->now->acts_at;
   return c->model->windows[k].contact == i && edge[0] <= at && at < edge[1];

@@ -1,6 +1,6 @@
-/* Results, each group where it is asked for: of plans, or of the equations at the states. */
+/* Results, each group when it is asked for: from plans, or by the equations from the states. */
 
-/* Brings a group of contact i's results up to date. */
+/* Brings a group of contact i's results up to date, in c->value. */
 static status_t find(component_t *c, long i, int group) {
   live_t *k = c->live + i;
   const int system = SYSTEM(c->now);
@@ -9,21 +9,21 @@ static status_t find(component_t *c, long i, int group) {
     const status_t s = find(c, i, OF_STATES);
     if (s) return s;
   }
-  if (!system && !k->plan && cover(c, i, c->now->time))
+  if (!system && !k->plan && plan_to(c, i, c->now->time))
     return refuse_motion(c, DISCARD, i, "values", c->now->time, NULL);
   if (system || group == OF_RATES || group == OF_CONDITION) {
     find_system(c, i, system ? OF_RATES : group, system ? GROUPS : group + 1);
   } else {
-    /* at a pole or an umbilic there are values of what comes a moment before */
+    /* at a pole or an umbilic, the values of a moment before are given */
     const double t = time_on(c, i), before = t - 1e-8 * (t - c->segment[i].begin);
-    if (look(c, i, t, BIT(group)) && look(c, i, before, BIT(group)))
+    if (evaluate(c, i, t, BIT(group)) && evaluate(c, i, before, BIT(group)))
       for (double *x = values_of(c, i, group); x < values_of(c, i, group + 1); x++) *x = NAN;
   }
   k->valid |= system ? BIT(GROUPS) - 1 : BIT(group);
   return OK;
 }
 
-/* tables divide an acceleration by 1e-300 at rest */
+/* greater ones are none: at rest, tables divide an acceleration by 1e-300 */
 #define BEYOND_VALUES 1e200
 
 /* Says why there is no value. */
@@ -44,7 +44,7 @@ static status_t refuse(component_t *c, unsigned reference) {
                             : "ask a moment later");
 }
 
-/* Refuses the first of these values that there is not. */
+/* Refuses the first of these values that does not exist. */
 static status_t check_found(component_t *c, unsigned reference, const double *value, long count) {
   const long owner = (long)c->model->values[reference].owner;
   for (long i = 0; i < count; i++) {
@@ -61,7 +61,7 @@ static status_t get_values(component_t *c, unsigned reference, long count, doubl
   const int system = SYSTEM(c->now);
   int group = OF_INPUTS;
   while (i >= 0 && (long)reference >= at_of(c->model, i, group + 1)) group++;
-  if (group >= (system ? OF_RATES : OF_STATES)) { /* others are given */
+  if (group >= (system ? OF_RATES : OF_STATES)) { /* other values are as they were set */
     status_t s = system ? OK : settle(c, "values", c->now->time);
     if (!s) s = find(c, i, group);
     if (s) return s;
@@ -70,41 +70,41 @@ static status_t get_values(component_t *c, unsigned reference, long count, doubl
   return check_found(c, reference, value, count);
 }
 
-/* ---- derivatives of all values, along up to L directions at once: in c->grows ---- */
+/* ---- tangents: derivatives of all values, in up to L directions at once ---- */
 
-/* Windows on contact i act as its inputs do. */
-static void grow_windows(component_t *c, long i) {
+/* Adds the tangents of windows on contact i to those of its inputs, which act alike. */
+static void add_window_tangents(component_t *c, long i) {
   for (long k = 0; k < c->model->n_windows; k++)
     for (int a = 0; a < 2 && acts(c, k, i); a++) {
       const window_t *w = c->model->windows + k;
       const long at = (long)w->values + 2 + a;
-      const long input = at_of(c->model, i, OF_INPUTS) + 2 * (long)w->slot + a;
+      double *input = c->tangents[at_of(c->model, i, OF_INPUTS) + 2 * (long)w->slot + a];
       for (int d = 0; d < L; d++)
-        c->grows[input][d] += c->value[SCALE] * c->grows[at][d] + c->value[at] * c->grows[SCALE][d];
+        input[d] += c->value[SCALE] * c->tangents[at][d] + c->value[at] * c->tangents[SCALE][d];
     }
 }
 
-/* The results of contact i, from its point and constants */
-static void grow_results(component_t *c, long i) {
+/* Tangents of contact i's results, from those of its states, inputs and parameters */
+static void find_result_tangents(component_t *c, long i) {
   const long n = at_of(c->model, i, GROUPS) - at_of(c->model, i, OF_RATES);
   const table_t *t = system_of(c->model, i);
   const int64_t *column = data_at(c->model, c->model->contacts[i].columns);
-  double (*results)[L] = c->grows + at_of(c->model, i, OF_RATES);
+  double (*results)[L] = c->tangents + at_of(c->model, i, OF_RATES);
   const size_t room = (size_t)n * sizeof *results;
   int any = 0;
   memset(results, 0, room);
-  /* of a leg's own numbers and of literals nothing grows */
-  memset(c->tangents, 0, (size_t)(t->first_lit + t->n_lit) * sizeof *c->tangents);
+  /* a leg's own numbers and literals have no tangents */
+  memset(c->system_tangents, 0, (size_t)(t->first_lit + t->n_lit) * sizeof *c->system_tangents);
   for (long r = 0; r < t->n_in + t->n_const; r++)
     for (int d = 0; d < L && column[r] >= 0; d++)
-      any |= (c->tangents[r][d] = c->grows[column[r]][d]) != 0.0;
+      any |= (c->system_tangents[r][d] = c->tangents[column[r]][d]) != 0.0;
   if (any) {
     UNTRAPPED({
-      double *r = load_system(c, i, c->tangents);
-      c->engine->along(&(program_t){t->prologue, r}, c->tangents);
-      c->engine->along(&(program_t){t->body, r}, c->tangents);
+      double *r = load_system(c, i, c->system_tangents);
+      c->engine->along(&(program_t){t->prologue, r}, c->system_tangents);
+      c->engine->along(&(program_t){t->body, r}, c->system_tangents);
     });
-    memcpy(results, c->tangents + t->first_out, room);
+    memcpy(results, c->system_tangents + t->first_out, room);
   }
   const double most = past_end(c) ? -1.0 : rests(c, i) ? BEYOND_VALUES : HUGE_VAL;
   for (long j = 0; j < n; j++)
@@ -112,14 +112,14 @@ static void grow_results(component_t *c, long i) {
       if (isgreater(fabs(results[j][d]), most)) results[j][d] = NAN;
 }
 
-/* Results of the contacts that are asked for, from what stands in c->grows of the other values */
+/* Tangents of the results that are asked for, from those of the other values in c->tangents */
 static status_t derive(component_t *c) {
   for (long i = 0; i < c->model->n_contacts; i++) {
     if (!c->live[i].derived) continue;
     const status_t s = SYSTEM(c->now) ? OK : find(c, i, OF_STATES);
     if (s) return s;
-    grow_windows(c, i);
-    grow_results(c, i);
+    add_window_tangents(c, i);
+    find_result_tangents(c, i);
   }
   return OK;
 }

@@ -1,5 +1,5 @@
-/* Frames at the start, which belong to their surfaces, whatever is set. Where derivatives are asked
-   for, they are carried along. */
+/* Puts the frames at the start onto their surfaces, whatever values an importer has set. Tangents
+   are carried along if derivatives are asked for. */
 
 /* Loads a table with constants that lie in c->room; returns its registers, which hold the point
    first. */
@@ -10,24 +10,24 @@ static double *load_table(component_t *c, const table_t *t) {
   return r;
 }
 
-/* Loads a table of a body's surface; grows: whether its parameters do, as c->grows says. */
-static double *load_surface(component_t *c, long i, int side, const table_t *t, int grows) {
+/* Loads a table of a body's surface; derive: whether its parameters have tangents. */
+static double *load_surface(component_t *c, long i, int side, const table_t *t, int derive) {
   const size_t n = n_parameters(c->model, i, side);
   const int64_t at = c->model->contacts[i].parameters[side];
   c->room[0] = c->model->scene[(long)body_of(c->model, i, side)[B_NUMBERS]]; /* sign */
   memcpy(c->room + 1, c->value + at, n * sizeof *c->value);
   double *r = load_table(c, t);
-  memset(c->along, 0, (size_t)t->n_regs * sizeof *c->along);
-  if (grows) memcpy(c->along + t->n_in + 1, c->grows + at, n * sizeof *c->grows);
-  c->engine->along(&(program_t){t->prologue, r}, c->along);
+  memset(c->surface_tangents, 0, (size_t)t->n_regs * sizeof *c->surface_tangents);
+  if (derive) memcpy(c->surface_tangents + t->n_in + 1, c->tangents + at, n * sizeof *c->tangents);
+  c->engine->along(&(program_t){t->prologue, r}, c->surface_tangents);
   return r;
 }
 
-/* Puts a frame in space, whose start values anybody may have set, or a parameter of its surface,
-   back on the surface: one of the scene's own keeps its u, v and theta, others move along the
-   gradient. Returns what is wrong, or NULL. */
+/* Puts a frame in space onto its surface, as its start values or parameters of the surface may have
+   been set. The scene's own frame keeps its u, v and theta, others move along the gradient. Returns
+   what is wrong, or NULL. */
 static const char *put_frame(component_t *c, long i, int side, double frame[6],
-                             double (*grows)[L]) {
+                             double (*tangents)[L]) {
   const double *starts = data_at(c->model, c->model->head->starts), *row = row_of(c->model, i);
   const table_t *const *tables = surface_of(c->model, i, side)->moved[IN_SPACE],
                        *t = tables[A_START];
@@ -36,33 +36,33 @@ static const char *put_frame(component_t *c, long i, int side, double frame[6],
   const int64_t at = c->model->contacts[i].parameters[side];
   const int set =
       memcmp(c->value + at, starts + at, n_parameters(c->model, i, side) * sizeof *starts);
-  if (t && (set || grows) && !memcmp(frame, own, 6 * sizeof *frame)) {
-    double *r = load_surface(c, i, side, t, grows != NULL);
+  if (t && (set || tangents) && !memcmp(frame, own, 6 * sizeof *frame)) {
+    double *r = load_surface(c, i, side, t, tangents != NULL);
     memcpy(r, row + (side ? K_PLACE_2 : K_PLACE_1), 2 * sizeof *r);
     r[2] = side ? 0.0 : -row[K_ANGLE];
-    c->engine->along(&(program_t){t->body, r}, c->along);
+    c->engine->along(&(program_t){t->body, r}, c->surface_tangents);
     const int found = all_finite(r + t->first_out, 6);
     if (found) memcpy(frame, r + t->first_out, 6 * sizeof *frame);
-    for (int a = 0; a < 6 && grows && found; a++)
-      for (int k = 0; k < L; k++) grows[a][k] += c->along[t->first_out + a][k];
+    for (int a = 0; a < 6 && tangents && found; a++)
+      for (int k = 0; k < L; k++) tangents[a][k] += c->surface_tangents[t->first_out + a][k];
   }
-  double *r = load_surface(c, i, side, t = tables[A_RESTORE], grows != NULL), moved = 1.0;
+  double *r = load_surface(c, i, side, t = tables[A_RESTORE], tangents != NULL), change = 1.0;
   memcpy(r, frame, 6 * sizeof *r);
-  if (grows) memcpy(c->along, grows, 6 * sizeof *grows);
-  for (int k = 0; k < 50 && moved > 1e-12; k++) {
-    c->engine->along(&(program_t){t->body, r}, c->along);
+  if (tangents) memcpy(c->surface_tangents, tangents, 6 * sizeof *tangents);
+  for (int k = 0; k < 50 && change > 1e-12; k++) {
+    c->engine->along(&(program_t){t->body, r}, c->surface_tangents);
     const double *y = r + t->first_out;
-    moved = 0.0;
+    change = 0.0;
     for (int a = 0; a < 6; a++)
-      moved += fabs(y[a] - r[a]) / (a < 3 ? body_of(c->model, i, side)[B_LENGTH] : 1.0);
+      change += fabs(y[a] - r[a]) / (a < 3 ? body_of(c->model, i, side)[B_LENGTH] : 1.0);
     memcpy(r, y, 6 * sizeof *r);
-    memcpy(c->along, c->along + t->first_out, 6 * sizeof *c->along);
+    memcpy(c->surface_tangents, c->surface_tangents + t->first_out, 6 * sizeof *tangents);
   }
-  if (!(moved <= 1e-12))
+  if (!(change <= 1e-12))
     return side ? "the object's frame is not on its surface"
                 : "the finger's frame is not on its surface";
   memcpy(frame, r, 6 * sizeof *frame);
-  if (grows) memcpy(grows, c->along, 6 * sizeof *grows);
+  if (tangents) memcpy(tangents, c->surface_tangents, 6 * sizeof *tangents);
   return NULL;
 }
 
@@ -70,20 +70,20 @@ static const char *put_frame(component_t *c, long i, int side, double frame[6],
 static void find_place(component_t *c, long i, int side, const double frame[6], double place[3]) {
   const table_t *t = surface_of(c->model, i, side)->moved[IN_SPACE][M_COORDINATES];
   double *r = load_surface(c, i, side, t, 0);
-  memset(r, 0, (size_t)t->n_in * sizeof *r); /* it does not move */
+  memset(r, 0, (size_t)t->n_in * sizeof *r); /* no velocity */
   memcpy(r, frame, 6 * sizeof *r);
   UNTRAPPED(c->engine->step(&(program_t){t->body, r}));
   place[0] = r[t->first_out], place[1] = r[t->first_out + 1], place[2] = r[t->first_out + 4];
 }
 
-/* Both frames of contact i among these states, where they are in space. grows: of the states, or
-   NULL. Returns what is wrong, or NULL. */
-static const char *put_frames(component_t *c, long i, double *states, double (*grows)[L]) {
+/* Puts those frames of contact i among these states onto their surfaces that are in space.
+   tangents: of the states, or NULL. Returns what is wrong, or NULL. */
+static const char *put_frames(component_t *c, long i, double *states, double (*tangents)[L]) {
   const char *wrong = NULL;
   for (int side = 0; side < 2 && !wrong; side++) {
     const size_t n = frame_of(c->model, i, side);
-    if (n == 6) UNTRAPPED(wrong = put_frame(c, i, side, states, grows));
-    states += n, grows = grows ? grows + n : NULL;
+    if (n == 6) UNTRAPPED(wrong = put_frame(c, i, side, states, tangents));
+    states += n, tangents = tangents ? tangents + n : NULL;
   }
   return wrong;
 }

@@ -1,4 +1,4 @@
-/* FMU states: what an importer holds, which is also the bytes that it may keep. */
+/* FMU states, which an importer holds; serialized, they are the same bytes. */
 
 #define SAVED_MARK 0x53544341544e4f43ULL /* CONTACTS; importers take 0 for no state */
 #define STATE_VERSION 12ULL
@@ -21,7 +21,7 @@ static saved_t *new_saved(const model_t *m) {
   return s;
 }
 
-/* The state that a handle stands for, or NULL with a log line */
+/* The FMU state of an importer's handle; NULL, with a log line, if it is none of this model */
 static saved_t *saved(component_t *c, void *state) {
   saved_t *s = state, *own = c->own;
   if (s && s->mark == own->mark && s->model == own->model) return s;

@@ -1,7 +1,7 @@
 /* Starting, and stepping. */
 
-/* Where contact i starts, from its states, which stay as they were set. Returns what is wrong, or
-   NULL. */
+/* Begins the segment of contact i at its states, of which the values stay as they were set. Returns
+   what is wrong, or NULL. */
 static const char *place_contact(component_t *c, long i) {
   const model_t *m = c->model;
   segment_t *s = c->segment + i;
@@ -23,7 +23,7 @@ static const char *place_contact(component_t *c, long i) {
       memcpy(place, x, 3 * sizeof *x);
   }
   memcpy(to + K_W1, x, 4 * sizeof *x);
-  if (frame_of(m, i, 0) == 6) { /* psi is found but for whole turns; the lower of two as near */
+  if (frame_of(m, i, 0) == 6) { /* whole turns are added to psi, to be nearest the scene's */
     const double turn = 6.283185307179586, psi = -to[K_PLACE_1 + 2] - to[K_PLACE_2 + 2];
     to[K_PLACE_1 + 2] -= turn * ceil((row_of(m, i)[K_ANGLE] - psi) / turn - 0.5);
   }
@@ -35,17 +35,17 @@ static const char *place_contact(component_t *c, long i) {
   return NULL;
 }
 
-/* Looks at the contact beyond each edge of its own, then now, so that steps allocate nothing. */
+/* Evaluates contact i after each of its own edges, then now, so that steps allocate nothing. */
 static void warm(component_t *c, long i) {
   const double at = c->now->acts_at;
   for (long k = n_edges(c->model); k >= 0; k--) {
     if (k && k <= 2 * c->model->n_windows && c->model->windows[(k - 1) / 2].contact != i) continue;
     c->now->acts_at = k ? edge_of(c, k - 1) : at;
-    for (int g = OF_STATES; g < GROUPS; g++) look(c, i, time_on(c, i), BIT(g));
+    for (int g = OF_STATES; g < GROUPS; g++) evaluate(c, i, time_on(c, i), BIT(g));
   }
 }
 
-/* Starts, or leaves all as it was set. */
+/* Starts all contacts, or leaves all values as they were set. */
 static status_t start(component_t *c) {
   memory_t *now = c->now;
   const model_t *m = c->model;
@@ -67,7 +67,7 @@ static status_t start(component_t *c) {
       REFUSE(
           "contact %ld cannot start: %s; change its start values or the parameters of the surface",
           i + 1, wrong);
-    if (now->stepping && cover(c, i, now->time))
+    if (now->stepping && plan_to(c, i, now->time))
       return refuse_motion(c, FAILED, i, "motion", now->time, NULL);
   }
   for (long i = 0; i < m->n_contacts; i++) {
@@ -81,7 +81,7 @@ static status_t start(component_t *c) {
 
 /* ---- steps ---- */
 
-/* All contacts to a time, or to an edge on the way where the importer wants that; or none. */
+/* Moves all contacts to a time, or to an edge before it if the importer wants that; or none. */
 static status_t step(component_t *c, double target) {
   memory_t *now = c->now;
   const long n = c->model->n_contacts;
@@ -96,7 +96,7 @@ static status_t step(component_t *c, double target) {
   const int early = c->uses_events && c->early_return && reached(target, next);
   const double goal = early ? next : fmin(target, now->limit);
   for (long i = 0; i < n; i++)
-    if (cover(c, i, goal)) return refuse_motion(c, DISCARD, i, "step", target, NULL);
+    if (plan_to(c, i, goal)) return refuse_motion(c, DISCARD, i, "step", target, NULL);
   set_time(c, goal);
   if (!c->uses_events || !reached(goal, next)) return OK;
   const double edge = edge_at(c, goal, 0);

@@ -1,9 +1,9 @@
-/* A contact as a system of equations: everything from its states, by one table of instructions.
+/* A contact as a system of equations: all results from its states, by one table of instructions.
 
-   point: time, states, disturbances (6); constants: gain, profile, numbers of finger and object;
-   results: the values from `rate` on. */
+   Its inputs: time, states, disturbances (6); constants: gain, profile, parameters of finger and
+   object; outputs: the values from the group OF_RATES on. */
 
-/* Inputs and windows on contact i */
+/* The disturbances of contact i, by inputs and windows */
 static void acting_on(const component_t *c, long i, double out[DISTURBANCES]) {
   memcpy(out, values_of(c, i, OF_INPUTS), DISTURBANCES * sizeof *out);
   for (long k = 0; k < c->model->n_windows; k++)
@@ -11,10 +11,10 @@ static void acting_on(const component_t *c, long i, double out[DISTURBANCES]) {
       out[2 * c->model->windows[k].slot + a] += c->value[SCALE] * window_values(c, k)[2 + a];
 }
 
-/* Loads the equations of contact i; returns their registers. Before the start, frames are put on
-   their surfaces here; values keep them as they were set. grows: how the point and constants do,
-   NULL where no derivatives are asked for. */
-static double *load_system(component_t *c, long i, double (*grows)[L]) {
+/* Loads the equations of contact i; returns their registers. During initialization, frames are put
+   onto their surfaces here, while values stay as they were set. tangents: of the table's inputs, or
+   NULL if no derivatives are asked for. */
+static double *load_system(component_t *c, long i, double (*tangents)[L]) {
   const model_t *m = c->model;
   const long n = states_of(m, i);
   const table_t *t = system_of(m, i);
@@ -22,7 +22,7 @@ static double *load_system(component_t *c, long i, double (*grows)[L]) {
   const int64_t *column = (const int64_t *)data_at(m, m->contacts[i].columns) + t->n_in;
   double x[MOST_STATES];
   memcpy(x, values_of(c, i, OF_STATES), (size_t)n * sizeof *x);
-  if (c->now->phase == INITIALIZATION) put_frames(c, i, x, grows ? grows + 1 : NULL);
+  if (c->now->phase == INITIALIZATION) put_frames(c, i, x, tangents ? tangents + 1 : NULL);
   for (long j = 0, own = 0; j < t->n_const; j++)
     c->room[j] = column[j] >= 0 ? c->value[column[j]] : own < leg.n ? leg.sigma[own++] : 0.0;
   double *r = load_table(c, t);
@@ -32,12 +32,12 @@ static double *load_system(component_t *c, long i, double (*grows)[L]) {
   return r;
 }
 
-/* States without slip, or its rates */
+/* Sets V among states, or V' among rates, to zero. */
 static void no_slip(const model_t *m, long i, double *x) {
   x[states_of(m, i) - 2] = x[states_of(m, i) - 1] = 0.0;
 }
 
-/* Results of contact i at its states: groups from this one on, up to the end, which is left out */
+/* Computes the results of contact i from its states: groups from `group` up to, not with, `end`. */
 static void find_system(component_t *c, long i, int group, int end) {
   const model_t *m = c->model;
   const table_t *t = system_of(m, i);
@@ -45,16 +45,16 @@ static void find_system(component_t *c, long i, int group, int end) {
   UNTRAPPED(r = load_system(c, i, NULL); c->engine->step(&(program_t){t->body, r}));
   double *found = r + t->first_out;
   const double *w = r + 1 + states_of(m, i);
-  /* slip's rates are infinite, and no acceleration is to blame: solvers look at a rest in
-     mid-motion before slip is left behind there */
+  /* V' is infinite at rest, also without an acceleration: solvers evaluate a rest in mid-motion
+     before the event there, which sets V to zero */
   if (leaves_slip_behind(c, i) && w[0] == 0.0 && w[1] == 0.0 && w[2] == 0.0 && w[3] == 0.0)
     no_slip(m, i, found);
   for (long k = at_of(m, i, group); k < at_of(m, i, end); k++)
     c->value[k] = past_end(c) ? NAN : found[k - at_of(m, i, OF_RATES)];
 }
 
-/* The path turns where a leg begins. What slips goes on slipping, but behind a rest under a law
-   that makes up for growth. */
+/* Turns the path velocity where a leg begins. V stays, but is zero after a rest under a law that
+   makes up for growth. */
 static void turn_path(component_t *c, long i, const leg_t *leg) {
   const double cs = leg->turn[0], sn = leg->turn[1];
   double *x = values_of(c, i, OF_STATES), *w = x + states_of(c->model, i) - 4;
