@@ -1,4 +1,4 @@
-"""Everything into one .fmu or .ssp file, which is checked once it is written."""
+"""Writes .fmu and .ssp files, and checks FMUs once they are written."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from contact_system.writing import writing
 
 
 def target(path: str | os.PathLike[str]) -> Path:
-    """The path of a file to write, in a folder that is there."""
+    """The path of a file to write, whose folder is made where it is missing."""
     path = a_path(path)
     make_folder(path.parent, "name a file in a folder that you may write to")
     return path
@@ -30,8 +30,8 @@ def generation_time() -> time.struct_time:
 def write_fmu(path: Path, files: Mapping[str, bytes]) -> None:
     """Write a zip file whose bytes depend on the files and the `generation_time` only.
 
-    If fmpy's validation has something to say of an FMU's description, nothing is replaced. Names
-    are left out, on whose grammar it spends nearly all its time.
+    If fmpy's validation finds a problem in an FMU's description, no file is written or replaced.
+    Variables' names are not validated, as their grammar would take nearly all of the time.
     """
     stamp = max(generation_time()[:6], (1980, 1, 1, 0, 0, 0))  # zip's first year
     with writing(path) as file:

@@ -1,4 +1,4 @@
-"""The engine with FMI around it: libraries for each platform, and sources with a scene inside."""
+"""The code of an FMU, the engine with its FMI layer: libraries of each platform, and C sources."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _platform(target: str) -> Platform:
 
 
 def chosen(platforms: Iterable[str]) -> tuple[str, ...]:
-    """The platforms asked for; or an error that says what they are instead."""
+    """The platforms asked for, as a tuple of at least one."""
     found = items_of(platforms)
     if not found:
         raise ContactSystemError(
@@ -81,7 +81,7 @@ def library(target: str, name: str) -> bytes:
     command = [*compiler, *FLAGS, "-DVARIANT=baseline", "-Wno-pass-failed", *linked]
     command += [f"-I{ENGINE}", *map(str, UNITS)]
     with tempfile.TemporaryDirectory(prefix="contact-system-") as folder:
-        # a Windows library carries its name, by which programs that are linked with it look for it
+        # a Windows library contains its name, by which programs linked with it look for it
         built = Path(folder, f"{name}{row.suffix}")
         command += ["-o", built.name, "-lm"]
         run = subprocess.run(command, cwd=folder, capture_output=True)
@@ -96,13 +96,13 @@ SHARED = (
     *("engine_baseline", "contact_engine", "contact_layout"),
     *("builtin_surfaces", "n_builtin_surfaces", "contact_tables"),
 )
-"""What the engine shows to others; several models may be linked into one program."""
+"""External names of the engine, which get a prefix: programs may link several models."""
 
 
 @functools.cache
 def _texts(layer: str) -> dict[str, str]:
-    """What FMUs of one version of FMI have in common, under the names that it has there: importers
-    may compile every .c that they find; what is included is none."""
+    """File name -> text of what all FMUs of one version of FMI share. What is included is renamed
+    to .inc, as importers may compile every .c file that they find."""
     other = {"2": "3", "3": "2"}[layer]
     folders, found = (ENGINE, ENGINE / "generated", C_FOLDER), {}
     for file in (file for folder in folders for file in sorted(folder.glob("*.[chi]*"))):
@@ -114,7 +114,7 @@ def _texts(layer: str) -> dict[str, str]:
 
 
 def c_sources(data: bytes, identifier: str, fmi_version: str) -> dict[str, str]:
-    """File name -> text of everything; `SOURCES` are compiled, and include the rest.
+    """File name -> text of all sources; `SOURCES` are compiled, and include the rest.
 
     data: of `data.scene_data`; identifier: the model's.
     """

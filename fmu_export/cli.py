@@ -55,7 +55,7 @@ def register(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Export, tell; returns the exit code."""
+    """Export, say what was written; returns the exit code."""
     scene, began = load_scene(args.scene), time.monotonic()
     if args.check and "CoSimulation" not in args.interfaces:
         raise ContactSystemError("--check runs Co-Simulation: add it to --interfaces")

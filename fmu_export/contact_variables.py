@@ -21,14 +21,14 @@ XY, XYZ = (".x", ".y"), (".x", ".y", ".z")
 CELLS = tuple(f"[{a},{b}]" for a in (1, 2, 3) for b in (1, 2, 3))
 
 INPUT_GROUPS, STATE_GROUP, DERIVATIVES = 2, 2, 3
-"""Of the groups of a contact's numbers: how many are inputs; which are states, derivatives."""
+"""How many of a contact's groups are inputs; indices of the states and of their derivatives."""
 
 
 def contact_groups(
     scene: Scene, i: int, starts: np.ndarray, measured: str, speed: float | None
 ) -> list[list[Variable]]:
-    """The variables of a scene's contact i in the groups of c/model.h; starts: of the states;
-    speed: nominal."""
+    """The variables of a scene's contact i, in the groups of c/model.h; starts: of the states;
+    speed: nominal value of speeds, m/s."""
     own = _Contact(scene, scene.contacts[i], f"contact[{i + 1}].", speed)
     states = [
         replace(v, causality="local", initial="exact", start=(float(x),))
@@ -61,7 +61,7 @@ def _derivative(v: Variable) -> Variable:
 
 @dataclass(frozen=True)
 class _Contact:
-    """Rows of one contact, before they have a place; stem: what names begin with."""
+    """Variables of one contact, not yet with references; stem: what names begin with."""
 
     scene: Scene
     contact: Contact
@@ -71,7 +71,7 @@ class _Contact:
     def rows(
         self, name: str, axes: tuple[str, ...], unit: Unit | None, text: str, **more: Any
     ) -> list[Variable]:
-        """A scalar, or the elements of an array; more: attributes of outputs that are not so."""
+        """A scalar, or the elements of an array; more: attributes that differ from an output's."""
         v = Variable(self.stem + name, text, unit, **more)
         shape = (3, 3) if axes is CELLS else (len(axes),)
         return [replace(v, name=v.name + axis, within=(v.name, shape)) for axis in axes] or [v]
@@ -92,7 +92,7 @@ class _Contact:
         return found
 
     def measured(self, what: str) -> list[Variable]:
-        """The trigger; then states as `Plan.states` has them, or twist and pose."""
+        """Inputs: the trigger; then the states of `Plan.states`, or twist and pose."""
         own = replace(self, stem=f"{self.stem}measured.")
         if what == "pose":
             rows = [v for group in own.motion() for v in group]
@@ -147,7 +147,7 @@ class _Contact:
         return rows
 
     def coordinates(self) -> list[Variable]:
-        """What charts say of carried frames, in the engine's order."""
+        """Chart coordinates, their rates and psi, in the order of `Plan.states`."""
         rows: list[Variable] = []
         for side, surface in self.bodies:
             places = self.places(side, surface, f"contact point on the {side}")
@@ -157,14 +157,14 @@ class _Contact:
 
     def motion(self) -> tuple[list[Variable], list[Variable]]:
         """Twist and pose of the finger relative to the object."""
-        origin = "rigin of the finger's frame in the object's frame"
+        origin = "origin of the finger's frame in the object's frame"
         turning = "Angular velocity of the finger in the object's frame"
         matrix = "Rotation matrix from the finger's frame to the object's"
         size = max(surface.size for _, surface in self.bodies)
         twist = self.rows("twist.angular", XYZ, (0, -1, 1), turning)
-        twist += self.speeds("twist.linear", XYZ, f"Velocity of the o{origin}")
+        twist += self.speeds("twist.linear", XYZ, f"Velocity of the {origin}")
         pose = self.rows("pose.rotation", CELLS, NONE, matrix)
-        pose += self.rows("pose.position", XYZ, METRE, f"O{origin}", nominal=size)
+        pose += self.rows("pose.position", XYZ, METRE, origin.capitalize(), nominal=size)
         return twist, pose
 
     def speeds(self, name: str, axes: tuple[str, ...], text: str) -> list[Variable]:

@@ -25,8 +25,8 @@ _SURFACE, _TABLE = f"{1 + 2 * N_MOVED}q4i2d", "8i3q"
 
 
 class _Data:
-    """Numbers of 8 bytes, with texts and instructions between them; places count numbers. What
-    several contacts have in common is written once, behind them."""
+    """Numbers of 8 bytes, with texts and instructions between them; a place is an index of these
+    numbers. A table that several contacts share is written once."""
 
     def __init__(self) -> None:
         self.parts: list[bytes] = []
@@ -45,7 +45,7 @@ class _Data:
         return self.put(np.asarray(values, dtype="<f8").tobytes())
 
     def rows(self, rows: Sequence[Sequence[Any]], form: str = "") -> tuple[int, int]:
-        """Add rows, of whole numbers or of this form; returns place and count."""
+        """Add rows, of integers or of a format of `struct`; returns place and count."""
         form = form or f"{len(rows[0]) if rows else 0}q"
         return self.put(b"".join(struct.pack(f"<{form}", *row) for row in rows)), len(rows)
 
@@ -54,20 +54,20 @@ class _Data:
         return self.put(b"".join(text.encode() + b"\0" for text in values))
 
     def table(self, t: Any) -> int:
-        """The number of a table of instructions; -1 of none."""
+        """The index of a table of instructions, which is added if it is new; -1 for None."""
         if t is not None and t not in self.tables:
             self.tables.append(t)
         return -1 if t is None else self.tables.index(t)
 
     def instructions(self, t: Any) -> list[int]:
-        """Add a table's instructions; returns its row."""
+        """Add a table's instructions and literals; returns its row."""
         code = (self.put(words.astype("<u2").tobytes()) for words in t.words)
         return [*t.sizes, t.twin, *code, self.doubles(t.numbers)]
 
 
 def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
     """The bytes of scene.bin, and the instantiation token (FMI 3) or GUID (FMI 2) inside them, by
-    which it knows its description; described: how, besides."""
+    which it is matched with its description; described: what else that depends on."""
     scene, rows, data = table.scene, table.rows, _Data()
     contacts = [_contact(table, i, data) for i in range(len(scene.contacts))]
     orders = _orders(scene.object, table.first["object"])
@@ -126,8 +126,8 @@ def _contact(table: Table, i: int, data: _Data) -> list[int]:
 
 
 def _orders(surface: Surface, at: int) -> list[tuple[int, int]]:
-    """Pairs of references of parameters that keep the surface of its kind: the first must stay
-    greater than the second."""
+    """Pairs of references of parameters, of which the first must stay greater than the second: else
+    the surface would be of another kind."""
     count, numbers = range(len(surface.parameters)), surface.parameters
     if not isinstance(surface, (Ellipsoid, Torus)):
         return []
@@ -144,7 +144,7 @@ def _surface(surface: Surface, data: _Data) -> list[Any]:
 
 
 def as_c(data: bytes) -> str:
-    """The same as C, for FMUs of sources."""
+    """scene.bin as C, for importers that compile an FMU's sources."""
     words = np.frombuffer(data, dtype="<u8").tolist()
     rows = ("%#x, " * 6 + "\n  ") * (len(words) // 6) + "%#x, " * (len(words) % 6)
     return (

@@ -1,6 +1,6 @@
-"""From the table of variables to modelDescription.xml (FMI 2.0.4 and 3.0.2) and its companions.
+"""Writes modelDescription.xml (FMI 2.0.4 and 3.0.2) and its companions from a table of variables.
 
-Everything here is text for an importer; what the numbers mean stands in :mod:`.variables`.
+All of it is text for an importer; what the variables mean is in :mod:`.variables`.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _OWN = {
     ("3.0", "CoSimulation"): "canHandleVariableCommunicationStepSize mightReturnEarlyFromDoStep "
     "hasEventMode",
 }
-"""Flags of an interface that are true, those of both interfaces apart."""
+"""Flags that are true: those that both interfaces have, and those of one."""
 
 
 def model_description(
@@ -85,7 +85,7 @@ def model_description(
 
 
 def check_choice(fmi_version: str, interfaces: Iterable[str]) -> tuple[str, ...]:
-    """The interfaces asked for; versions and interfaces that there are not are refused."""
+    """The interfaces asked for, as a tuple; unknown versions and interfaces are refused."""
     if fmi_version not in VERSIONS:
         raise ContactSystemError(f"fmi_version = {fmi_version!r}: give a text, one of {VERSIONS}")
     given = items_of(interfaces)
@@ -105,7 +105,7 @@ def model_identifier(scene: Scene) -> str:
 
 
 def listed(table: Table, fmi_version: str) -> list[Variable]:
-    """The variables in the order of the file; FMI 2 has no need of the independent one."""
+    """The variables in the order of the file; FMI 2 leaves out the independent one."""
     if fmi_version == "2.0":
         if table.arrays:
             raise ContactSystemError("arrays: FMI 2.0 has none; choose FMI 3.0")
@@ -147,8 +147,8 @@ def _interface(table: Table, fmi_version: str, interface: str) -> ET.Element:
 
 
 def _units(unit: Unit) -> dict[str, str]:
-    """FMI Library takes the unit to display from a type only if a variable repeats no unit: each
-    says both."""
+    """Attributes of a type, and of its variables too: FMI Library ignores the displayUnit of a type
+    if a variable has a unit."""
     name = unit_name(unit)
     return {"unit": name, **({"displayUnit": name.replace("rad", "deg")} if unit[2] == 1 else {})}
 
@@ -172,7 +172,7 @@ QUANTITIES = {
     (0, -2, 1): "AngularAcceleration",
     (0, 1, 0): "Time",
 }
-"""Names of types, and of what is measured, by exponents of m, s, rad."""
+"""Exponents of m, s, rad -> name of a type, and its quantity."""
 
 
 def _type_definitions(table: Table, fmi_version: str) -> ET.Element:
@@ -230,11 +230,11 @@ def _number(value: float) -> str:
 
 
 def _structure(table: Table, fmi_version: str) -> ET.Element:
-    """Outputs, derivatives and initial unknowns, each with what it depends on.
+    """Outputs, derivatives and initial unknowns, each with its dependencies.
 
-    On continuous states in Co-Simulation too, since it gives directional derivatives. After
-    initialization FMI 2 counts no parameters, FMI 3 counts all of them (FMI 2.0.4, 2.2.8; FMI
-    3.0.2, 2.4.8).
+    Those on continuous states are given for Co-Simulation too, as it has directional derivatives.
+    After initialization, FMI 2 leaves out those on parameters and FMI 3 gives all of them (FMI
+    2.0.4, 2.2.8; FMI 3.0.2, 2.4.8).
     """
     states = set(table.states)
     parameters = {v.reference for v in table.rows if v.causality == "parameter"}
@@ -299,9 +299,9 @@ def build_description(table: Table) -> str:
 def terminals(table: Table) -> str:
     """The text of terminalsAndIcons.xml: terminals of each contact's disturbances and motion.
 
-    FMI 3.0.2, section 2.4.9. Members are matched by name, in no order: those of what is measured
-    are called as those of a motion, so that another FMU's motion can be connected to it. Terminals
-    have no kinds, as importers may refuse to connect different ones.
+    FMI 3.0.2, section 2.4.9. Members are matched by name, in any order: a measurement's have the
+    names of a motion's, so that another FMU's motion can be connected to it. Terminals have no
+    terminalKind, as importers may refuse to connect terminals of different kinds.
     """
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     box = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}

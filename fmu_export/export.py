@@ -34,20 +34,20 @@ def export_fmu(
     ----------
     scene : Scene
     path : path
-        The file to write, such as ``planner.fmu``; its folder is made where it is missing. No file
-        is written, and what is there stays, unless all goes well.
+        The file to write, such as ``planner.fmu``; its folder is made where it is missing. If
+        anything fails, no file is written, and an existing one stays as it is.
     fmi_version : "2.0" or "3.0"
     interfaces : sequence of "CoSimulation" and "ModelExchange"
     platforms : sequence of str
-        "native", or of x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin
-        and (experimental) wasm32 those wanted, for which ziglang is needed, once.
+        "native", or one or more of x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin,
+        aarch64-darwin and (experimental) wasm32, which ziglang compiles.
     arrays : bool
         FMI 3: vectors and matrices instead of scalars with FMI 2's names.
     measured : "nothing" or "states" or "pose"
-        What there are inputs of, from which a contact goes on: states as of `Plan.states`, or the
-        finger's pose and twist relative to the object. Co-Simulation only.
+        Adds inputs for a measurement, from which a contact goes on: states as from `Plan.states`,
+        or the finger's pose and twist relative to the object. Co-Simulation only.
     progress : callable, optional
-        Called with what is begun, once for each platform and for the file itself.
+        Called with the name of each step: one for each platform, and one for the file itself.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def export_fmu(
     interfaces = description.check_choice(fmi_version, interfaces)
     if measured != "nothing" and "CoSimulation" not in interfaces:
         raise ContactSystemError(
-            f"measured = {measured!r}: Co-Simulation alone goes on from a measurement; give it too"
+            f"measured = {measured!r}: only Co-Simulation takes measurements; add it to interfaces"
         )
     of_kind((Callable, type(None)), progress, "progress", "a function of a text, or None")
     tell = progress or (lambda step: None)

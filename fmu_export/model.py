@@ -1,10 +1,10 @@
 """A contact as a system of equations in the variables of an FMU, as one table of instructions.
 
-Nothing of the mathematics is written here: `contact_system.contact_equations` is put into the
-variables that an importer sees. The states of a contact are, of finger and object, the frame that
-is carried along its path, a point and a tangent in space (6), or u v theta where a body is moved in
-its chart (3); then the path velocity W_1 and slip over sigma, V, in these frames. They exist where
-sigma = 0, in space no pole stands in their way, and they are not stiff where the gain is large.
+The mathematics is that of `contact_system.contact_equations`, in the variables that an importer
+sees. The states of a contact are, of finger and object, the frame that is carried along its path: a
+point and a tangent in space (6), or u v theta if the body is moved in its chart (3); then the path
+velocity W_1 and V, slip over sigma, in these frames. They exist where sigma is 0 too, have no poles
+in space, and are not stiff where the gain is large.
 
 Results are the states' derivatives; the nine numbers of charts, u1 v1 u1' v1' u2 v2 u2' v2' psi;
 slip (2), twist (6), the pose of the finger in the object's frame (rotation row by row, 9,
@@ -33,13 +33,13 @@ from contact_system.theory.symbols import making_symbols, per_structure
 INPUTS = 6
 NEVER = 1e6  # s
 TOLERANCE = 1e-14
-"""Of plans; with 1e-13 K4 ends 4e-14 of its size away."""
+"""Of plans; with 1e-13, K4 ends with an error of 4e-14 of its size."""
 WORK_SIZE = 1.0
-"""Stands for a body's size where `contact_function` asks for one and no result depends on it."""
+"""A body's size for `contact_function`, which needs one; no result depends on it."""
 
 
 def frame_size(surface: Surface) -> int:
-    """Numbers of a frame among the states: 6 in space, 3 in a chart; inputs may disturb it."""
+    """Number of states of a body's frame: 6 in space, 3 in a chart, as of a disturbed body."""
     return 6 if in_space(surface, True) else 3
 
 
@@ -53,7 +53,7 @@ def equations(finger: Surface, obj: Surface, law: str, n_profile: int) -> tuple[
         t, x, w = ca.SX.sym("t"), ca.SX.sym("x", sum(form.sizes)), ca.SX.sym("w", INPUTS)
         gain, profile = ca.SX.sym("gain"), ca.SX.sym("profile", n_profile)
         p1, p2 = (ca.SX.sym("p", len(s.parameters)) for s in (finger, obj))
-        # where sigma has ended the path rests: solvers look there from within their last step
+        # past sigma's end the path rests: a solver may evaluate there within its last step
         ended = polynomial(ca.vertsplit(profile), t) < 0
         own = ca.vertcat(gain, ca.if_else(ended, 0, profile))
         numbers = ca.vertcat(p1, WORK_SIZE), ca.vertcat(p2, WORK_SIZE)
@@ -74,7 +74,7 @@ def equations(finger: Surface, obj: Surface, law: str, n_profile: int) -> tuple[
 
 
 def _condition(law: str, t: ca.SX, own: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca.SX]:
-    """|slip|, sigma, whether a disturbance acts, expected time of recovery."""
+    """|slip|, sigma, 1 if a disturbance acts or 0, expected time of recovery."""
     profile = ca.vertsplit(own[1:])
     sigma = polynomial(profile, t)
     growth = ca.gradient(sigma, t) / ca.fmax(sigma, TINY)
@@ -85,10 +85,10 @@ def _condition(law: str, t: ca.SX, own: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca
 
 @per_structure
 def measured(finger: Surface, obj: Surface, what: str) -> Table:
-    """The table by which a contact goes on from what is measured of it.
+    """The table by which a contact goes on from a measurement; what: "states" or "pose".
 
-    point: what is measured, "states" or "pose"; of a pose the unknowns of finger and object first,
-    and it is V_OF_O (6), the rotation row by row (9), and the position of X_OF (3).
+    point: the measured states (9); or for a pose, the unknowns of finger and object, V_OF_O (6),
+    and X_OF, the rotation row by row (9) and the position (3).
     constants: sign, parameters and size of the finger, and of the object.
     result: the next unknowns, length of the step, det of the relative curvature over its square,
     states (9), the metric roots (4 + 4).
@@ -106,6 +106,6 @@ def measured(finger: Surface, obj: Surface, what: str) -> Table:
         ends = (seen.numel() - k for k in (22, 10, 4, 0))
         unknowns, pose, twist, others = ca.vertsplit(seen, [0, *ends])
         point = ca.vertcat(unknowns, twist, *(pose[k : k + 3] for k in (0, 4, 8)), pose[3::4])
-        # no share, no known slip
+        # slip is at the object's surface, and not known
         result = ca.substitute(ca.vertcat(*results[:4], results[-1]), others, 0)
     return Table(ca.Function("measured", [point, given], [ca.densify(ca.cse(result))]))

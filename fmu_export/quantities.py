@@ -39,10 +39,10 @@ class Variable:
     derivative : int or None
         Reference of the variable whose time derivative this is.
     jumps : bool
-        Whether events change it, a state.
+        Whether it is a state that events change.
     known : tuple of int
-        References of the scalars that it depends on, itself left out: inputs, states, parameters,
-        time. Empty where the value is not a result.
+        References of the scalars that it depends on, except itself: inputs, states, parameters,
+        time. Empty if the variable is not a result.
     """
 
     name: str
@@ -78,7 +78,7 @@ class Variable:
 
 
 def array_of(elements: Sequence[Variable]) -> Variable:
-    """The array of these elements, or the scalar that is of none."""
+    """The array of these elements, or the one scalar if it belongs to no array."""
     first, (name, shape) = elements[0], elements[0].within
     if not name:
         return first
@@ -89,7 +89,7 @@ def array_of(elements: Sequence[Variable]) -> Variable:
 
 @functools.cache
 def unit_name(unit: Unit) -> str:
-    """Such as "rad/s2"; "1" where nothing is left."""
+    """A unit's name, such as "rad/s2"; "1" if there is none."""
     over, under = "", ""
     for symbol, exponent in zip(("m", "rad", "s"), (unit[0], unit[2], unit[1])):
         text = symbol + (str(abs(exponent)) if abs(exponent) > 1 else "")

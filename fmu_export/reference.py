@@ -1,7 +1,7 @@
-"""Reference results inside an FMU: what the exact plan says, for the file to be run against.
+"""Reference results inside an FMU, from the exact plan, with which a run of it is compared.
 
-They stand where layered standards put their files (FMI 3.0.2, section 2.5.1.5), with the manifest
-of FMI-LS-REF.
+They are where layered standards put their files (FMI 3.0.2, section 2.5.1.5), with the manifest of
+FMI-LS-REF.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ FOLDER = "extra/org.fmi-standard.fmi-ls-ref/"
 RESULTS_FILE = f"{FOLDER}reference.csv"
 ROWS = 51  # times, from the beginning to the end of the scene
 RESULTS = {"points": ("finger.point", "object.point"), "twist": ("twist.angular", "twist.linear")}
-"""Of `Plan.evaluate`, those that exist at poles too, and the variables that they are."""
+"""Results of `Plan.evaluate` that exist at poles too -> the variables of a contact."""
 
 
 def reference_files(scene: Scene) -> dict[str, bytes]:
     """File name inside the FMU -> bytes."""
     times = np.linspace(0.0, scene.duration, ROWS)
-    if scene.duration in scene.window_edges:  # an FMU shows what is after it, a plan what is before
+    if scene.duration in scene.window_edges:  # an FMU gives values after an edge, a plan before
         times = times[:-1]
     found = plan(scene, 1e-14).evaluate(times, *RESULTS)
     names, columns = ["time"], [times]
@@ -49,24 +49,24 @@ def check_fmu(path: str | os.PathLike[str], bar: float = 1e-10) -> float:
     ----------
     path : path
     bar : float
-        Of the greatest difference, as a fraction of the greatest value of its variable.
+        Bound of the greatest difference, as a fraction of the greatest value of its variable.
 
     Returns
     -------
     float
-        That difference.
+        The greatest difference.
 
     Raises
     ------
     ContactSystemError
-        It is greater than the bar, or there are no reference results.
+        The difference is greater than the bar, or there are no reference results.
     """
     with opened(path, "an FMU with reference results") as archive:
         text = archive.read(RESULTS_FILE).decode()
     names, *rows = (line.split(",") for line in text.splitlines())
     wanted = np.array(rows, dtype=float)
     known = {v.name for v in fmpy.read_model_description(str(path)).modelVariables}
-    # of arrays the name without .x, .y, .z
+    # an array's name is without .x, .y, .z
     output = {n if n in known else n.rpartition(".")[0]: None for n in names[1:]}
     times = {"stop_time": wanted[-1, 0], "output_interval": wanted[1, 0]}
     try:

@@ -1,6 +1,6 @@
 """The planner as an FMI slave in this process: the FMU's own code behind fmpy's classes.
 
-An unmodified ``fmpy.simulate_fmu`` runs it, with no file that an export would write::
+An unmodified ``fmpy.simulate_fmu`` runs it, without an exported file::
 
     with in_process(scene, "3.0") as slave:
         result = fmpy.simulate_fmu(**slave, output_interval=1e-3)
@@ -86,8 +86,8 @@ class _Slave:
         (folder / "modelDescription.xml").write_text(text, "utf-8")
         (folder / "resources").mkdir()
         (folder / "resources" / "scene.bin").write_bytes(data)
-        # fmpy finds functions by the name of the class, and for FMI 3 a library elsewhere by a name
-        # that is an absolute path; the rest of what it makes is good here too
+        # fmpy finds functions by the name of its own class, and in FMI 3 a library elsewhere by
+        # a modelIdentifier that is an absolute path; the attributes that it sets are taken over
         plain = self._plain(
             guid=token,
             modelIdentifier=str(LIBRARY.with_suffix("")),
@@ -99,7 +99,7 @@ class _Slave:
         self.instantiate(loggingOn=True)
 
     def _tell(self, *words: Any) -> None:
-        status, category, text = words[-3:]  # FMI 2 says first which instance it is
+        status, category, text = words[-3:]  # FMI 2 gives the instance first
         self._said = text.decode()
         self._logger(status, category.decode(), self._said)
 
@@ -119,7 +119,7 @@ class _Slave:
     __del__ = freeInstance
 
     def freeLibrary(self) -> None:
-        """The engine stays: it is this package's."""
+        """Do nothing: the library is this package's engine, which stays loaded."""
 
 
 def _log(status: int, category: str, text: str) -> None:
@@ -166,7 +166,7 @@ class PlannerSlave3(_Slave, FMU3Slave):
     logger : callable, optional
     described
     event_mode : bool
-        The importer handles events: steps tell of the edges of disturbance windows.
+        The importer handles events: steps report the edges of disturbance windows.
     early_return : bool
         With event mode: a step ends at such an edge.
     """

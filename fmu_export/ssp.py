@@ -38,8 +38,8 @@ def export_ssp(
     path : path
         The file to write, such as ``hands.ssp``.
     connections : pairs of str
-        From an output to an input, ``("wind.push", "left.contact[1].finger.acceleration.u")``. What
-        does not begin with a model's name is an input or an output of the system, as in
+        From an output to an input, ``("wind.push", "left.contact[1].finger.acceleration.u")``. A
+        name that does not begin with a model's is an input or an output of the system, as in
         ``("left.contact[1].slip_speed", "slip")``.
     platforms : sequence of str
         As for `export_fmu`.
@@ -52,7 +52,7 @@ def export_ssp(
     Raises
     ------
     ContactSystemError
-        Something else than scenes and FMUs, variables that models do not have, and what
+        Models that are neither scenes nor FMUs, variables that they do not have, and what
         `export_fmu` refuses.
     """
     named = isinstance(models, Mapping) and all(isinstance(n, str) and n for n in models)
@@ -67,7 +67,7 @@ def export_ssp(
             if isinstance(model, Scene):
                 given = ("2.0", ("CoSimulation",), platforms)
                 model = export_fmu(model, Path(folder) / "own.fmu", *given)
-            source = f"resources/{k + 1}.fmu"  # names may hold what a URI would have to escape
+            source = f"resources/{k + 1}.fmu"  # models' names may need escapes in a URI
             found[name] = source, _read(name, model)
             files[source] = Path(model).read_bytes()
     files["SystemStructure.ssd"] = _structure(found, connections).encode()
@@ -78,7 +78,7 @@ def export_ssp(
 def _read(name: str, path: str | os.PathLike[str]) -> ModelDescription:
     try:
         found = fmpy.read_model_description(os.fspath(path))
-    except Exception as error:  # of a file that anyone may have made
+    except Exception as error:  # of any kind: the file may be anything
         raise ContactSystemError(
             f"models: '{name}' = {path!r:.80}: neither a Scene nor an FMU: {error}"
         ) from None
@@ -105,14 +105,14 @@ def _structure(
             raise ContactSystemError(f"connections: {pair!r}: neither is a variable of a model")
         line: dict[str, str] = {}
         for side, (model, variable, own) in zip(("start", "end"), places):
-            # what goes into the system is an input of it and goes out to its models
+            # a connection starts at a model's output or at an input of the system
             kind = "output" if (side == "start") == bool(model) else "input"
             before = kinds.get((model, variable))
             if before and (side == "end" or before != kind):
                 raise ContactSystemError(
                     f"connections: {pair!r}: {variable!r} is connected already, as an {before}"
                 )
-            if not before:  # SSP wants an enumeration again, or no type
+            if not before:  # an enumeration would have to be defined again: no type
                 connector = _new("Connector", name=variable, kind=kind)
                 if (of := own or types[0]) != "Enumeration":
                     ET.SubElement(connector, f"{{{_SSC}}}{of}")
@@ -139,7 +139,7 @@ def _structure(
 def _place(
     models: Mapping[str, tuple[str, ModelDescription]], whole: str, kind: str
 ) -> tuple[str, str, str]:
-    """Model, variable and its type of one end of a connection; or "", whole, "": the system's."""
+    """Model, variable and type at one end of a connection; of the system's own "", whole, ""."""
     model = next((m for m in sorted(models, key=len)[::-1] if whole.startswith(f"{m}.")), "")
     if not model:
         return "", whole, ""

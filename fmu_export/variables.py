@@ -1,8 +1,8 @@
-"""One table of variables for a scene: what an importer sees, and where the component keeps it.
+"""The table of a scene's variables: what an importer sees, and where the component keeps it.
 
-The component's values lie in one array of float64. A variable's value reference is the index of its
-first element there; every element is a scalar of its own name, but for FMI 3 with arrays. The array
-begins with time and the parameters; groups of numbers of each contact follow.
+The component's values are one array of float64. A variable's value reference is the index of its
+first element there; unless FMI 3 sees arrays, every element is a scalar with a name of its own.
+The array begins with time and the parameters; groups of values of each contact follow.
 
 Names are structured (FMI 2.0.4, section 2.2.9; FMI 3.0.2, section 2.4.7.5.1) and count from 1.
 """
@@ -40,10 +40,10 @@ class Table:
     rows : list of Variable
         Scalars, by reference, which counts them.
     first : dict
-        References of ``gain``, ``scale``, ``profile``, ``object``, ``finger 0`` and so on, and of
-        ``windows``, four each: where their numbers begin.
+        References of the first value of ``gain``, ``scale``, ``profile``, ``object``, ``finger 0``
+        and so on, and of ``windows``, which have four each.
     groups : list of list of int
-        Of each contact, where its groups of numbers begin, and where the last one ends.
+        Of each contact, the references at which its groups begin, and where the last one ends.
     arrays : bool
         Whether FMI 3 sees arrays.
     measured : str
@@ -81,13 +81,13 @@ class Table:
         return np.array([x for row in self.rows for x in row.start or (0.0,)])
 
     def structure(self, i: int) -> tuple[Surface, Surface, str, int]:
-        """What `model.equations` of a contact are made for."""
+        """The arguments of `model.equations` for contact i."""
         scene, contact = self.scene, self.scene.contacts[i]
         most = max(len(stretch.profile.coefficients) for stretch in scene.way(i))
         return contact.finger, scene.object, scene.gain.law, most
 
     def columns(self, i: int) -> list[int]:
-        """References of the point and constants of those equations; -1 for profiles of legs."""
+        """References of the equations' inputs and constants; -1 for profiles of legs."""
         first, group, (finger, obj, _, n_profile) = self.first, self.groups[i], self.structure(i)
         states, inputs = range(group[STATE_GROUP], group[DERIVATIVES]), range(group[0], group[1])
         own = self.scene.contacts[i].legs
@@ -121,14 +121,14 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
     arrays : bool
         Whether FMI 3 sees vectors and matrices instead of scalars.
     measured : "nothing" or "states" or "pose"
-        Of what there are inputs, from which a trigger lets contacts go on: states, or the finger's
-        pose and twist relative to the object.
+        Which measurement has inputs, from which contacts go on when a trigger changes: states, or
+        the finger's pose and twist relative to the object.
 
     Raises
     ------
     SceneError
-        A scene that no importer can step: names of a user's parameters that outputs have as well;
-        measurements where a surface has no chart.
+        A scene that no importer can step: a user's parameter that has the name of an output;
+        measurements on a surface without a chart.
     """
     require_scene(scene)
     one_of(measured, MEASUREMENTS, "measured")
@@ -153,12 +153,12 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
     speed = scene.speeds(np.linspace(0.0, scene.duration, 33)).max() or None
     for i, own in enumerate(system.state_slices):
         starts = system.x0[own]
-        # where sigma is zero a law may leave slip out, but time and profile may start elsewhere
+        # as at sigma = 1: at sigma = 0 slip may be left out, but importers may start elsewhere
         starts[-4:] = system.carried(scene.contacts[i].start(), 1.0)
         groups.append([*map(add, contact_groups(scene, i, starts, measured, speed)), len(rows)])
     table = Table(scene, rows, first, groups, arrays, measured)
     for i in range(len(groups)):
-        _tell_dependencies(table, i)
+        _set_dependencies(table, i)
     _require_names(table)
     return table
 
@@ -183,7 +183,7 @@ def _parameter(name: str, value: float, unit: Unit | None, text: str, **more: An
 
 
 def _parameters(scene: Scene) -> dict[str, Iterable[Variable]]:
-    """In the order of their references, by the keys of `Table.first`."""
+    """The parameters, in the order of their references, by the keys of `Table.first`."""
     name, text = f"gain.{scene.gain.parameter}", f"Gain of the law '{scene.gain.law}'"
     tunable = {"variability": "tunable", "minimum": 0.0}
     gain = _parameter(name, scene.gain.value, (*scene.gain.row.dimension, 0), text, **tunable)
@@ -233,8 +233,8 @@ def _window_rows(scene: Scene) -> Iterator[Variable]:
 # --- dependencies --------------------------------------------------------------------------------
 
 
-def _tell_dependencies(table: Table, i: int) -> None:
-    """Put into a contact's derivatives and results what they depend on by their equations."""
+def _set_dependencies(table: Table, i: int) -> None:
+    """Set `known`, and `derivative`, of a contact's derivatives and results, by their equations."""
     scene, first, group, columns = table.scene, table.first, table.groups[i], table.columns(i)
     _, found = equations(*table.structure(i))
     behind = [[r] if r >= 0 else [] for r in columns]
@@ -246,7 +246,7 @@ def _tell_dependencies(table: Table, i: int) -> None:
     known = [tuple(sorted({r for j in np.flatnonzero(row) for r in behind[j]})) for row in found]
     for at, v in enumerate(table.rows[group[DERIVATIVES] : group[-1]]):
         v.known = known[at]
-        if v.causality == "output":  # a getter goes on from what is measured
+        if v.causality == "output":  # reading it takes up a new measurement
             v.known += tuple(range(group[1], group[STATE_GROUP]))
         if v.reference < group[DERIVATIVES + 1]:
             v.derivative = at + group[STATE_GROUP]
