@@ -7,7 +7,7 @@
    two of them coordinates move by less than half a period. */
 
 enum { U, V, DU, DV, THETA, N_COORDINATES };
-enum { PANEL_ANCHORS = 4, CIRCLE_ANCHORS = 15 }; /* a panel; a revolution, L with its end */
+enum { PANEL_ANCHORS = 4, CIRCLE_ANCHORS = 15 }; /* per panel; per revolution, L with its end */
 
 /* u v u' v' theta in principal values at places x of a path, in the variable of its panels or the
    phase of its circle; rates are 0 */
@@ -28,7 +28,7 @@ static int take_lane(const double (*z)[L], int i, double *value) {
   return none;
 }
 
-/* Both at one place */
+/* Coordinates at one place, by both of these */
 static int place_on(work_t *w, const track_t *k, double x, double *value) {
   double at[L];
   fill_lanes(at, x);

@@ -96,7 +96,7 @@ static void find_coordinates(work_t *w, side_t *a, const double *x, const double
     for (int i = 0; i < L; i++) a->coordinates[DU + j][i] += k->offset[j];
 }
 
-/* One body, at n of L times */
+/* Samples one body; of L times only the first n are asked for. */
 static void sample_body(work_t *w, sample_t *m, int s, int n, int needs) {
   side_t *a = &m->side[s];
   const track_t *k = a->track;

@@ -51,7 +51,7 @@ static inline int64_t sign_changes(const double *c, int64_t n, int64_t order, do
     for (int64_t k = 0; k < size; k++)
       d[k] = binomial * c[k + m], binomial = binomial * (double)(k + 1 + m) / (double)(k + 1);
     count = 0;
-    for (int64_t k = -1; k < knots; k++) { /* found takes no more than was read of it */
+    for (int64_t k = -1; k < knots; k++) { /* results replace only knots that have been read */
       double knot = k < 0 ? a : b;
       if (k >= 0 && k < knots - 1) knot = found[k];
       const double at_knot = clear_value(d, size, knot, horner(d, size, knot));

@@ -2,9 +2,9 @@
 
    * A finger that nothing accelerates runs on a geodesic, in closed form where there is one, else
      integrated once in arc length.
-   * The object runs on a geodesic too while slip is negligible, on the developed curve W s - V g
-     while there is.
-   * Only a contact under an acceleration is integrated with it. */
+   * The object runs on a geodesic too while slip is negligible, else on the developed curve
+     W s - V g.
+   * While accelerations act, the bodies are integrated together with W_1 and V. */
 
 /* Length of a first panel's path at a tolerance of 1e-12, as a part of the geometric mean of the
    body's least radius and its size. With a part of the least radius alone, many contacts on

@@ -53,7 +53,7 @@ static void turn_rows(double (*x)[L], double (*y)[L], int n, const double *c, co
     }
 }
 
-/* The frame turns: the path's direction changes. */
+/* Turns the path's direction, and with it the frame. */
 static void turn_path(rolled_t *r, int n, const double *turn) {
   double s[L], c[L];
   sincos_of(turn, s, c, L);
@@ -65,7 +65,7 @@ static void turn_path(rolled_t *r, int n, const double *turn) {
     for (int l = 0; l < L; l++) r->lines.y[2][l] += turn[l];
 }
 
-/* Along p, a part of a leg */
+/* Moves the frame along p, by a part of a leg. */
 static void advance(rolled_t *r, const double *length) {
   const steered_t *body = r->body;
   if (body->how) {
@@ -314,7 +314,7 @@ static void try_paths(search_t *w) {
 
 static const double NO_DAMPING = 1e-12; /* but where no equation depends on an unknown */
 
-/* The step of a lane, by Cholesky's method */
+/* The step of a lane, x = (square + damping)^-1 gradient, by Cholesky's method */
 static void solve(const equations_t *e, int n, int l, double damping, double *x) {
   double a[UNKNOWNS][UNKNOWNS];
   for (int i = 0; i < n; i++) {

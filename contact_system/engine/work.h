@@ -186,7 +186,7 @@ static inline double gain_at(const drive_t *d, double tau) {
   return lam;
 }
 
-/* exp(-(L(tau) - L(0))) at times at which sigma is given */
+/* The decay exp(-(L(tau) - L(0))); sigma: at the same times */
 static void decays(const drive_t *d, const double *tau, const double *sigma, double *out) {
   double lost[L];
   horners(d->exponent, d->n_exponent, tau, lost);

@@ -151,7 +151,7 @@ EXPORT status_t FMI(Reset)(void *instance) {
   return OK;
 }
 
-/* Goes through the elements of variables. */
+/* Each element of the variables vr; r: its reference */
 #define EACH_VALUE(r, vr, count)                                                                   \
   for (size_t k_ = 0; k_ < (count); k_++)                                                          \
     for (unsigned r = (vr)[k_], end_ = r + SIZE(c, r); r < end_; r++)
@@ -409,7 +409,7 @@ OF_STATES(GetNominalsOfContinuousStates, ANY, double,
 
 EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], size_t count) {
   SYSTEM_ONLY(RUNNING);
-  if (count) REFUSE("there are none");
+  if (count) REFUSE("there are no event indicators");
   return OK;
 }
 

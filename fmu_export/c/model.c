@@ -1,7 +1,7 @@
 /* Reading a scene's data: see model.h. */
 
-/* The data of the FMU whose resources are here, to be freed; NULL where there is none. In FMUs of
-   sources scene.c returns the array in scene.inc, else resource.c reads the file. */
+/* The data of the FMU whose resources are here, to be freed, or NULL. scene.c copies an array, in
+   an FMU that an importer compiles (see data.py); else resource.c reads the file. */
 static void *scene_data(const char *resources, size_t *count);
 
 static unsigned adler32(const void *data, size_t count) {

@@ -1,8 +1,8 @@
-/* A scene as data: what the FMU's file resources/scene.bin holds, or in FMUs of sources
-   scene.inc.
+/* A scene as data: the file resources/scene.bin of an FMU, or scene.inc if an importer compiles it.
 
-   Numbers of 8 bytes; places count them from the beginning. Texts and instructions lie between them
-   as bytes. `fmu_export/data.py` writes what stands here, in this order; its version is checked. */
+   It consists of numbers of 8 bytes, with texts and instructions as bytes between them; a place is
+   an index of these numbers. `fmu_export/data.py` writes what is declared here, in this order; its
+   version is checked. */
 #ifndef CONTACT_MODEL
 #define CONTACT_MODEL
 #include "engine.h"
@@ -71,8 +71,8 @@ typedef struct {
   int64_t own_legs;           /* 0: its only leg has the scene's profile, which is a parameter */
   int64_t parameters[2];      /* references of the first one of finger and object */
   int64_t groups[GROUPS + 1]; /* references where groups begin, and where the last one ends */
-  int64_t columns;   /* int64_t, references of the inputs and constants of `system`; -1: a leg's */
-  int64_t system;    /* the table of its equations */
+  int64_t columns; /* int64_t, references of the equations' inputs and constants; -1: a leg's own */
+  int64_t system;  /* the table of its equations */
   int64_t frames[2]; /* how many states are the finger's and the object's frame: 6, point and axis,
                         or 3, coordinates and angle */
   int64_t sensor;    /* if it is measured: the table of a step of Newton's method, see events.c */

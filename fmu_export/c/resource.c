@@ -1,4 +1,4 @@
-/* The scene's data from a file, where the library is the same for all scenes. */
+/* Reads the scene's data from its file, as the library is the same for all scenes. */
 
 #include <ctype.h>
 
