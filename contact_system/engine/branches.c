@@ -29,7 +29,7 @@ static int take_lane(const double (*z)[L], int i, double *value) {
 }
 
 /* Coordinates at one place, by both of these */
-static int place_on(work_t *w, const track_t *k, double x, double *value) {
+static int principal_at(work_t *w, const track_t *k, double x, double *value) {
   double at[L];
   fill_lanes(at, x);
   return take_lane(principal(w, k, at), 0, value);
@@ -95,7 +95,7 @@ static int over_seam(work_t *w, const track_t *k, mark_t a, mark_t b, int negati
     if (!(at > a.x && at < b.x)) at = 0.5 * (a.x + b.x);
     /* to rounding: a path may run along a seam and cross it elsewhere */
     if (i && !(at > a.x && at < b.x)) break;
-    if (place_on(w, k, at, value)) return 0;
+    if (principal_at(w, k, at, value)) return 0;
     s = sin(value[U]), c = cos(value[V]);
     const mark_t found = {at, s * c};
     if (fmin(fabs(s), c) <= 1e-15 * fmax(fabs(s), c)) break;
@@ -121,7 +121,7 @@ static int comes_back(work_t *w, const track_t *k, mark_t a, mark_t c, int negat
   a.y *= sign, c.y *= sign;
   if (fmin(a.y, c.y) > 0.25) return 0; /* too far for less than half a radian */
   for (int i = 0; i < 30; i++) {
-    if (!(at > a.x && at < c.x) || place_on(w, k, at, value)) return 0;
+    if (!(at > a.x && at < c.x) || principal_at(w, k, at, value)) return 0;
     *there = (mark_t){at, side_of(value[U], value[V])};
     const mark_t now = {at, sign * there->y};
     if (now.y < 0.0) return 1;
@@ -155,7 +155,7 @@ static void wind_swing(work_t *w, const track_t *k, double x, const double *ref,
   double half[N_COORDINATES];
   const double middle = 0.5 * (x + x2);
   const int swings = fabs(wound(z[THETA], ref[2], TURN) - ref[2]) > 0.25 * TURN;
-  if (!swings || !(middle > x && middle < x2) || place_on(w, k, middle, half)) {
+  if (!swings || !(middle > x && middle < x2) || principal_at(w, k, middle, half)) {
     wind(k->body->surface, ref, z);
     return;
   }

@@ -357,7 +357,7 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
 /* ---- branches and moments ---- */
 
 /* u v theta of a body where the contact begins */
-static const double *begins_at(const contact_t *c, int side) {
+static const double *start_place(const contact_t *c, int side) {
   return c->row + (side ? K_PLACE_2 : K_PLACE_1);
 }
 
@@ -384,8 +384,7 @@ static void sample_at(const contact_t *c, double t, sample_t *m) {
 }
 
 /* u v theta at a time; returns nonzero if they are not finite */
-static int place_on_track(work_t *w, const contact_t *c, const track_t *k, double t,
-                          double *place) {
+static int find_place(work_t *w, const contact_t *c, const track_t *k, double t, double *place) {
   const int side = k->body->side;
   sample_t m;
   sample_at(c, t, &m);
@@ -403,26 +402,27 @@ static void anchor_side(work_t *w, contact_t *c, int side, int64_t n) {
   while (known < n && (!c->tracks[side][known].ambient || c->tracks[side][known].n_anchors))
     known++;
   if (known == n) return;
-  memcpy(place, begins_at(c, side), sizeof place);
+  memcpy(place, start_place(c, side), sizeof place);
   for (int64_t i = 0; i < n; i++) {
     track_t *k = c->tracks[side] + i;
     if (k->ambient && !k->n_anchors) anchor_track(w, k, place);
     if (i + 1 < n) {
       double found[3];
-      if (!place_on_track(w, c, k, k->stop, found)) memcpy(place, found, sizeof place);
+      if (!find_place(w, c, k, k->stop, found)) memcpy(place, found, sizeof place);
     }
   }
 }
 
 /* u v theta at the end of a track, or at an earlier time; if not finite, just before or after */
-static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t, double *place) {
+static void require_place(work_t *w, contact_t *c, int side, int64_t which, double t,
+                          double *place) {
   anchor_side(w, c, side, which + 1);
   const track_t *k = c->tracks[side] + which;
   if (t > k->stop) t = k->stop;
   const double start = k->drive->start, aside = 1e-7 * (k->stop - start);
   const double tried[3] = {t, fmax(t - aside, start), fmin(t + aside, k->stop)};
   for (int i = 0; i < 3; i++)
-    if (!place_on_track(w, c, k, tried[i], place)) return;
+    if (!find_place(w, c, k, tried[i], place)) return;
   w->failure->contact = c - w->plan->contacts, w->failure->side = side, w->failure->t = t;
   fail(w, SINGULAR_TIME);
 }
@@ -437,7 +437,7 @@ static void moment_of(work_t *w, contact_t *c, double t, double *out) {
     const int64_t which = interval(c->track_edges[side], c->n_tracks[side], t, 0);
     const track_t *k = c->tracks[side] + which;
     double *frame = row + (side ? K_FRAME_2 : K_FRAME_1);
-    place_at(w, c, side, which, t, row + (side ? K_PLACE_2 : K_PLACE_1));
+    require_place(w, c, side, which, t, row + (side ? K_PLACE_2 : K_PLACE_1));
     if (moves_in_space(k->body->surface)) usual_state(w, k, t, frame);
   }
   memcpy(out, row + K_PLACE_1, MOMENT_SIZE * sizeof *out);

@@ -20,17 +20,17 @@ static const double ENDLESS = 1e11;
 /* a contact that is being planned, with its path velocities at the time reached */
 typedef struct {
   work_t *w;
-  contact_t *c;
+  contact_t *contact;
   double w1[2], w2[2], v[2];
 } course_t;
 
 static double norm(const double *d) { return hypot(d[0], d[1]); }
 
 static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, int reason) {
-  const int64_t n = c->c->n_tracks[side]++;
-  track_t *k = c->c->tracks[side] + n;
-  c->c->track_edges[side][n] = d->start, c->c->track_edges[side][n + 1] = HUGE_VAL;
-  k->body = &c->c->body[side], k->drive = d, k->stop = stop, k->reason = reason;
+  const int64_t n = c->contact->n_tracks[side]++;
+  track_t *k = c->contact->tracks[side] + n;
+  c->contact->track_edges[side][n] = d->start, c->contact->track_edges[side][n + 1] = HUGE_VAL;
+  k->body = &c->contact->body[side], k->drive = d, k->stop = stop, k->reason = reason;
   k->ambient = moves_in_space(k->body->surface), k->push = k->offset = UNDISTURBED;
   memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
   return k;
@@ -40,7 +40,7 @@ static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, 
 
 /* The state of a body where its last track ends, or where the contact begins */
 static void state_of(course_t *c, int side, double *state) {
-  const contact_t *own = c->c;
+  const contact_t *own = c->contact;
   const int64_t n = own->n_tracks[side];
   const body_t *b = &own->body[side];
   const double *frame = own->row + (side ? K_FRAME_2 : K_FRAME_1), *p = frame + 3;
@@ -48,23 +48,23 @@ static void state_of(course_t *c, int side, double *state) {
     const track_t *last = own->tracks[side] + n - 1;
     usual_state(c->w, last, last->stop, state);
   } else if (!moves_in_space(b->surface)) {
-    memcpy(state, begins_at(own, side), 3 * sizeof *state);
+    memcpy(state, start_place(own, side), 3 * sizeof *state);
   } else if (any(p) || p[2] != 0.0) {
     memcpy(state, frame, 6 * sizeof *state);
     restore_body(c->w, b, state);
   } else {
-    run_one(c->w, b->surface->moved[IN_SPACE][A_START], b->numbers, begins_at(own, side), state);
+    run_one(c->w, b->surface->moved[IN_SPACE][A_START], b->numbers, start_place(own, side), state);
   }
 }
 
 /* The same in space or in the chart */
 static void in_form(course_t *c, int side, int ambient, double *state) {
-  if (moves_in_space(c->c->body[side].surface) == ambient)
+  if (moves_in_space(c->contact->body[side].surface) == ambient)
     state_of(c, side, state);
-  else if (c->c->n_tracks[side] == 0)
-    memcpy(state, begins_at(c->c, side), 3 * sizeof *state);
+  else if (c->contact->n_tracks[side] == 0)
+    memcpy(state, start_place(c->contact, side), 3 * sizeof *state);
   else
-    place_at(c->w, c->c, side, c->c->n_tracks[side] - 1, HUGE_VAL, state);
+    require_place(c->w, c->contact, side, c->contact->n_tracks[side] - 1, HUGE_VAL, state);
 }
 
 /* ---- integrated tracks ---- */
@@ -73,10 +73,10 @@ static void in_form(course_t *c, int side, int ambient, double *state) {
    sign of chart components depends on the branch that the path is on, which only u v theta show. */
 static motion_t add_motion(course_t *c, int side, const drive_t *d, int reason, const double *push,
                            const double *offset) {
-  const body_t *b = &c->c->body[side];
+  const body_t *b = &c->contact->body[side];
   const int by_branch = b->surface->double_cover && (any(push) || any(offset));
   const int ambient = moves_in_space(b->surface) && !by_branch;
-  motion_t m = {.n = state_size(ambient), .r0 = c->c->r0, .reach = b->reach};
+  motion_t m = {.n = state_size(ambient), .r0 = c->contact->r0, .reach = b->reach};
   in_form(c, side, ambient, m.state);
   scales(c->w, ambient, b, m.state, m.scale);
   m.track = add_track(c, side, d, d->stop, reason), m.length = d->stop - d->start;
@@ -107,7 +107,7 @@ static double first_length(const body_t *b) { return FIRST * sqrt(b->bend * b->s
 /* ---- geodesics ---- */
 
 static void geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
-  const body_t *b = &c->c->body[side];
+  const body_t *b = &c->contact->body[side];
   /* with imposed rolling, that the finger's curve is a geodesic is a result, not an assumption */
   const int closed = reason == FOLLOWING && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
   if (closed != NO_CLOSED_FORM) {
@@ -164,7 +164,7 @@ static void line(course_t *c, const drive_t *d, const double *offset, int matter
 /* Develops the object under a rate offset, or under slip until what is left of it is negligible;
    returns the time reached. */
 static double driven(course_t *c, const drive_t *d, const double *offset, double negligible) {
-  const body_t *b = &c->c->body[1];
+  const body_t *b = &c->contact->body[1];
   motion_t m = add_motion(c, 1, d, reason_of(c, offset), UNDISTURBED, offset);
   memcpy(m.v, c->v, sizeof m.v);
   m.slip = norm(c->v), m.finish = any(offset) ? 0.0 : negligible;
@@ -177,7 +177,7 @@ static double driven(course_t *c, const drive_t *d, const double *offset, double
 static double free_object(course_t *c, const segment_t *s, double stop) {
   const drive_t *d = s->drive;
   const double *offset = s->acting + 4;
-  const body_t *b = &c->c->body[1];
+  const body_t *b = &c->contact->body[1];
   const double slip = norm(c->v);
   const double negligible =
       NEGLIGIBLE_PART * b->size * d->per_metre * c->w->plan->scene[S_TOLERANCE];
@@ -185,7 +185,7 @@ static double free_object(course_t *c, const segment_t *s, double stop) {
   if (b->surface->closed == DEVELOPABLE && (slip > 0 || any(offset)))
     line(c, d, offset, slip > ROUNDING * b->size * d->per_metre);
   else if (slip == 0 && !any(offset))
-    geodesic(c, 1, d, reached = stop, c->c->row[K_FOLLOWS] > 0 ? FOLLOWING : NO_SLIP);
+    geodesic(c, 1, d, reached = stop, c->contact->row[K_FOLLOWS] > 0 ? FOLLOWING : NO_SLIP);
   else if (slip <= negligible && !any(offset))
     geodesic(c, 1, d, d->stop, NEGLIGIBLE);
   else {
@@ -203,7 +203,7 @@ static double free_object(course_t *c, const segment_t *s, double stop) {
 
 /* Sets W_1 = w1 and W_2 = R_0 W_1; V stays. */
 static void set_path_velocity(course_t *c, const double *w1) {
-  const double *r = c->c->r0;
+  const double *r = c->contact->r0;
   memcpy(c->w1, w1, sizeof c->w1);
   for (int a = 0; a < 2; a++) c->w2[a] = r[2 * a] * w1[0] + r[2 * a + 1] * w1[1];
 }
@@ -243,7 +243,7 @@ static void push_contact(course_t *c, segment_t *s) {
   }
   /* errors of V count by the greatest V that the accelerations can cause */
   double push = 0.0;
-  for (int k = 0; k < 4; k++) push = fmax(push, fabs(act[k]) * c->c->body[k / 2].size);
+  for (int k = 0; k < 4; k++) push = fmax(push, fabs(act[k]) * c->contact->body[k / 2].size);
   const double grown =
       fmax(push / fmax(d->least, 1e-300) * fmin(d->stop - d->start, time_constant(d)), 1e-3);
   motion_t m = pushed_motion(c, 1, s, c->v, 1.0 / fmin(fmax(norm(c->v), grown), 1.0));
@@ -257,9 +257,9 @@ static void push_contact(course_t *c, segment_t *s) {
 /* The end of the run of segments of a leg, from one on, in which the finger (0) is not accelerated,
    or nothing acts on the object (1) */
 static double free_until(const course_t *c, int side, int64_t k) {
-  const segment_t *segments = c->c->segments;
+  const segment_t *segments = c->contact->segments;
   double stop = segments[k].drive->stop;
-  for (k++; k < c->c->n_segments && !segments[k].turn; k++) {
+  for (k++; k < c->contact->n_segments && !segments[k].turn; k++) {
     const double *act = segments[k].acting;
     if (any(act) || (side && (any(act + 2) || any(act + 4)))) break;
     stop = segments[k].drive->stop;
@@ -269,13 +269,13 @@ static double free_until(const course_t *c, int side, int64_t k) {
 
 static void refuse_endless(course_t *c) {
   double path = 0.0;
-  for (int64_t k = 0; k < c->c->n_segments; k++) {
-    const drive_t *d = c->c->segments[k].drive;
+  for (int64_t k = 0; k < c->contact->n_segments; k++) {
+    const drive_t *d = c->contact->segments[k].drive;
     path += length_at(d, d->stop - d->start);
   }
   const double given[2] = {c->w2[0] - c->v[0], c->w2[1] - c->v[1]};
   for (int side = 0; side < 2; side++) {
-    const double sizes = norm(side ? given : c->w1) * path / c->c->body[side].size;
+    const double sizes = norm(side ? given : c->w1) * path / c->contact->body[side].size;
     if (sizes <= ENDLESS) continue;
     failure_t *e = c->w->failure;
     e->side = side, e->value = sizes, e->end = ENDLESS;
@@ -294,17 +294,17 @@ static body_t body_of(const plan_t *plan, const double *row, int side) {
 
 /* W_1, W_2, V and R_0 where a contact starts */
 static void begin(course_t *c) {
-  const double *row = c->c->row;
+  const double *row = c->contact->row;
   double found[8], in[5] = {row[K_ANGLE], row[K_W1], row[K_W1 + 1], row[K_Y], row[K_Y + 1]};
   run_one(c->w, contact_tables + T_START, NULL, in, found);
-  memcpy(c->c->r0, found, sizeof c->c->r0);
+  memcpy(c->contact->r0, found, sizeof c->contact->r0);
   memcpy(c->w1, row + K_W1, sizeof c->w1), memcpy(c->w2, found + 4, sizeof c->w2);
   memcpy(c->v, row[K_MOMENT] > 0 ? row + K_Y : found + 6, sizeof c->v);
 }
 
 /* Plans a segment's tracks, unless earlier ones cover it; until: where each body's last one ends */
 static void plan_segment(course_t *c, int64_t index, double *until) {
-  segment_t *s = c->c->segments + index;
+  segment_t *s = c->contact->segments + index;
   const drive_t *d = s->drive;
   if (s->turn) {
     const double cosine = s->turn[0], sine = s->turn[1], *w1 = c->w1;
@@ -318,7 +318,7 @@ static void plan_segment(course_t *c, int64_t index, double *until) {
     until[0] = d->stop;
   } else if (until[0] <= d->start) {
     until[0] = free_until(c, 0, index);
-    geodesic(c, 0, d, until[0], c->c->row[K_FOLLOWS] > 0 ? FOLLOWING : UNPUSHED);
+    geodesic(c, 0, d, until[0], c->contact->row[K_FOLLOWS] > 0 ? FOLLOWING : UNPUSHED);
   }
   if (any(s->acting) || any(s->acting + 2)) {
     push_contact(c, s);
@@ -331,7 +331,7 @@ static void plan_segment(course_t *c, int64_t index, double *until) {
 static void plan_contact(work_t *w, int64_t index) {
   plan_t *plan = w->plan;
   contact_t *own = plan->contacts + index;
-  course_t c = {.w = w, .c = own};
+  course_t c = {.w = w, .contact = own};
   own->row = plan->scene + S_HEADER + index * CONTACT_SIZE;
   w->failure->contact = index;
   own->body[0] = body_of(plan, own->row + K_FINGER, 0);

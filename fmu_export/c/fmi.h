@@ -393,19 +393,19 @@ EXPORT status_t FMI(SetTime)(void *instance, double time) {
   return OK;
 }
 
-/* What takes or gives a number for each continuous state */
-#define OF_STATES(name, phases, type, action)                                                      \
+/* Functions that take or give a number for each continuous state */
+#define STATE_VECTOR(name, phases, type, action)                                                   \
   EXPORT status_t FMI(name)(void *instance, type x[], size_t count) {                              \
     SYSTEM_ONLY(phases);                                                                           \
     if (!x || count != (size_t)c->model->n_states)                                                 \
       REFUSE("a pointer is missing, or the count is not %ld", c->model->n_states);                 \
     return action;                                                                                 \
   }
-OF_STATES(SetContinuousStates, EVENT | CONTINUOUS, const double, set_states(c, x))
-OF_STATES(GetContinuousStates, RUNNING, double, get_states(c, x, 0))
-OF_STATES(GetContinuousStateDerivatives, RUNNING, double, get_states(c, x, 1))
-OF_STATES(GetNominalsOfContinuousStates, ANY, double,
-          (memcpy(x, data_at(c->model, c->model->head->nominals), count * sizeof *x), OK))
+STATE_VECTOR(SetContinuousStates, EVENT | CONTINUOUS, const double, set_states(c, x))
+STATE_VECTOR(GetContinuousStates, RUNNING, double, get_states(c, x, 0))
+STATE_VECTOR(GetContinuousStateDerivatives, RUNNING, double, get_states(c, x, 1))
+STATE_VECTOR(GetNominalsOfContinuousStates, ANY, double,
+             (memcpy(x, data_at(c->model, c->model->head->nominals), count * sizeof *x), OK))
 
 EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], size_t count) {
   SYSTEM_ONLY(RUNNING);
