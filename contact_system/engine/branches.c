@@ -28,7 +28,7 @@ static int take_lane(const double (*z)[L], int i, double *value) {
   return none;
 }
 
-/* Coordinates at one place, by both of these */
+/* Principal values at one place of a path; returns nonzero if they are not finite */
 static int principal_at(work_t *w, const track_t *k, double x, double *value) {
   double at[L];
   fill_lanes(at, x);

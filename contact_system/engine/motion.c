@@ -310,7 +310,7 @@ static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at
 
 /* The series of a stiff V from its values. Integrating V' would lose digits, as its two terms, the
    acceleration and lam V, nearly cancel and are far larger than V over a panel's length. */
-static void through(const double *start, lanes_t v, double *out) {
+static void series_through(const double *start, lanes_t v, double *out) {
   double rise[2][L];
   for (int a = 0; a < 2; a++)
     EACH_LANE(i) rise[a][i] = v[a][i] - start[a];
@@ -335,7 +335,7 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
   }
   if (has_v(m)) {
     const int64_t n = m->n - 2;
-    through(m->state + n, x + n, out + n * TERMS);
+    series_through(m->state + n, x + n, out + n * TERMS);
     for (int a = 0; a < 2; a++) reached[n + a] = dot(gauss_last, x[n + a]);
   }
   memcpy(end, reached, (size_t)m->n * sizeof *reached);
@@ -433,7 +433,7 @@ static int judge_panel(motion_t *m, step_t *s, double after, double error, doubl
 
 /* One panel from s->tau: its series to `out`, m->state to its end. Returns 0 where it is refused:
    s->h is what to try next. */
-static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
+static int try_panel(work_t *w, motion_t *m, step_t *s, double *out) {
   const double tau = s->tau, left = m->length - tau;
   double after = tau + longest(m, tau, s->h < left ? s->h : left, STEEPEST);
   if (after >= m->length * (1 - 1e-14)) after = m->length;
@@ -511,7 +511,7 @@ static panels_t integrate(work_t *w, motion_t *m, double tolerance) {
     require_progress(w, m, &s, (int64_t)count, tries, &mark);
     double *series = room_for(w, &w->series, (count + 8) * size);
     double *edges = room_for(w, &w->edges, count + 2);
-    if (!panel(w, m, &s, series + count * size)) continue;
+    if (!try_panel(w, m, &s, series + count * size)) continue;
     edges[++count] = s.tau;
     if (m->finish > 0 && s.tau < m->length &&
         m->slip * decay_at(m->track->drive, s.tau) <= m->finish)

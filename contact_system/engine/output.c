@@ -3,7 +3,7 @@
 /* ---- one body at local times ---- */
 
 /* The variable of a track's motion at local times: time, arc length, or phase and revolutions */
-static void variable(const track_t *k, const double *tau, double *x, double *turns) {
+static void path_variable(const track_t *k, const double *tau, double *x, double *turns) {
   fill_lanes(turns, 0.0);
   if (k->kind == CIRCLE)
     phases(k, tau, x, turns);
@@ -53,7 +53,7 @@ typedef struct {
 
 typedef struct {
   const segment_t *segment;
-  double t[L], sigma[L], w[2][2][L], v[2][L], sliding[2][L]; /* w: W_1 and W_2 */
+  double t[L], sigma[L], w[2][2][L], v[2][L], slip[2][L]; /* w: W_1 and W_2 */
   side_t side[2];
 } sample_t;
 
@@ -103,7 +103,7 @@ static void sample_body(work_t *w, sample_t *m, int s, int n, int needs) {
   double tau[L], x[L], turns[L], far[6][L];
   if (!(needs || any(k->offset))) return;
   for (int i = 0; i < L; i++) tau[i] = m->t[i] - k->drive->start;
-  variable(k, tau, x, turns);
+  path_variable(k, tau, x, turns);
   const int rows = needs == NEED_POINT && !any(k->offset) ? 3 : state_size(k->ambient);
   state_at(k, tau, x, rows, a->state);
   if (needs & (NEED_COORDINATES | NEED_VELOCITY))
@@ -135,9 +135,9 @@ static void sample_body(work_t *w, sample_t *m, int s, int n, int needs) {
 static void sample_slip(sample_t *m) {
   const side_t *o = &m->side[1];
   for (int a = 0; a < 2; a++) {
-    EACH_LANE(i) m->sliding[a][i] = m->sigma[i] * m->v[a][i];
+    EACH_LANE(i) m->slip[a][i] = m->sigma[i] * m->v[a][i];
     if (any(o->track->offset))
-      for (int i = 0; i < L; i++) m->sliding[a][i] -= o->offset[a][i];
+      for (int i = 0; i < L; i++) m->slip[a][i] -= o->offset[a][i];
   }
 }
 
@@ -158,15 +158,15 @@ static void turn_to_contact_frame(work_t *w, const sample_t *m, lanes_t y) {
 }
 
 /* (sigma'/sigma - lam) v_rel, and what the accelerations add, along (p_2, q_2) */
-static void accelerate(work_t *w, const contact_t *c, sample_t *m, lanes_t out) {
+static void slip_acceleration(work_t *w, const contact_t *c, sample_t *m, lanes_t out) {
   const segment_t *s = m->segment;
-  const int pulls = !all_zero(m->v);
+  const int slips = !all_zero(m->v);
   unit_t *u = pair_table(w, T_ACCELERATION, c->r0);
   copy_lanes(u->r[0], m->sigma);
   for (int i = 0; i < L; i++) {
     const double tau = m->t[i] - s->drive->start;
-    u->r[1][i] = pulls ? slope_of(s->drive->sigma, s->drive->n_sigma, tau) : 0.0;
-    u->r[2][i] = pulls ? gain_at(s->drive, tau) : 0.0;
+    u->r[1][i] = slips ? slope_of(s->drive->sigma, s->drive->n_sigma, tau) : 0.0;
+    u->r[2][i] = slips ? gain_at(s->drive, tau) : 0.0;
   }
   copy_rows(u->r + 3, m->v, 2);
   for (int r = 5; r < 9; r++) fill_lanes(u->r[r], 0.0);
@@ -253,7 +253,7 @@ static void put_twist(work_t *w, const target_t *to, const contact_t *c, const s
     copy_rows(u->r + 18 + 3 * s, m->side[s].shape, 3);
     copy_rows(u->r + 24 + 2 * s, m->side[s].velocity, 2);
   }
-  copy_rows(u->r + 28, m->sliding, 2);
+  copy_rows(u->r + 28, m->slip, 2);
   put(to, TWIST, 0, run(u), 6);
 }
 
@@ -261,18 +261,18 @@ static void put_twist(work_t *w, const target_t *to, const contact_t *c, const s
 static void put_slip(work_t *w, const target_t *to, const contact_t *c, sample_t *m) {
   if (to->out[SLIP_SPEED]) {
     double speed[1][L];
-    for (int i = 0; i < L; i++) speed[0][i] = hypot(m->sliding[0][i], m->sliding[1][i]);
+    for (int i = 0; i < L; i++) speed[0][i] = hypot(m->slip[0][i], m->slip[1][i]);
     put(to, SLIP_SPEED, 0, speed, 1);
   }
   if (to->out[ACCELERATION]) {
     double a[2][L];
-    accelerate(w, c, m, a);
+    slip_acceleration(w, c, m, a);
     turn_to_contact_frame(w, m, a);
     put(to, ACCELERATION, 0, a, 2);
   }
   if (to->out[SLIP]) {
-    turn_to_contact_frame(w, m, m->sliding);
-    put(to, SLIP, 0, m->sliding, 2);
+    turn_to_contact_frame(w, m, m->slip);
+    put(to, SLIP, 0, m->slip, 2);
   }
 }
 
@@ -368,7 +368,7 @@ static void usual_state(work_t *w, const track_t *k, double t, double *state) {
   const int n = state_size(k->ambient);
   double tau[L], x[L], turns[L], found[6][L];
   fill_lanes(tau, t - k->drive->start);
-  variable(k, tau, x, turns);
+  path_variable(k, tau, x, turns);
   state_at(k, tau, x, n, found);
   for (int j = 0; j < n; j++) state[j] = found[j][0];
   if (!moves_in_space(b->surface)) return;

@@ -86,7 +86,7 @@ static motion_t add_motion(course_t *c, int side, const drive_t *d, int reason, 
 }
 
 /* Integrates a motion; if it finishes early, so does its track. */
-static track_t *carry_out(course_t *c, motion_t *m) {
+static track_t *integrate_motion(course_t *c, motion_t *m) {
   track_t *k = m->track;
   c->w->failure->side = k->body->side;
   k->panels = integrate(c->w, m, c->w->plan->scene[S_TOLERANCE]);
@@ -106,7 +106,7 @@ static double first_length(const body_t *b) { return FIRST * sqrt(b->bend * b->s
 
 /* ---- geodesics ---- */
 
-static void geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
+static void add_geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
   const body_t *b = &c->contact->body[side];
   /* with imposed rolling, that the finger's curve is a geodesic is a result, not an assumption */
   const int closed = reason == FOLLOWING && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
@@ -123,7 +123,7 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
   m.track->by_length = 1, m.track->stop = stop;
   m.length = fmax(length_at(drive, stop - drive->start), 1e-300);
   m.first = speed > 0 ? fmin(first_length(b) / speed, 4.0 * m.length) : 4.0 * m.length;
-  carry_out(c, &m);
+  integrate_motion(c, &m);
 }
 
 /* ---- slip and rate offsets ---- */
@@ -150,7 +150,7 @@ static panels_t slip_length(course_t *c, const drive_t *d) {
   return integrate(c->w, &m, 1e-15);
 }
 
-static void line(course_t *c, const drive_t *d, const double *offset, int matters) {
+static void add_line(course_t *c, const drive_t *d, const double *offset, int matters) {
   double state[6];
   state_of(c, 1, state);
   track_t *k = add_track(c, 1, d, d->stop, reason_of(c, offset));
@@ -163,13 +163,13 @@ static void line(course_t *c, const drive_t *d, const double *offset, int matter
 
 /* Develops the object under a rate offset, or under slip until what is left of it is negligible;
    returns the time reached. */
-static double driven(course_t *c, const drive_t *d, const double *offset, double negligible) {
+static double develop(course_t *c, const drive_t *d, const double *offset, double negligible) {
   const body_t *b = &c->contact->body[1];
   motion_t m = add_motion(c, 1, d, reason_of(c, offset), UNDISTURBED, offset);
   memcpy(m.v, c->v, sizeof m.v);
   m.slip = norm(c->v), m.finish = any(offset) ? 0.0 : negligible;
   m.first = first_panel(d, m.length, b);
-  return carry_out(c, &m)->stop;
+  return integrate_motion(c, &m)->stop;
 }
 
 /* The object on a segment on which nothing accelerates; `stop`: the end of the run of such segments
@@ -183,14 +183,14 @@ static double free_object(course_t *c, const segment_t *s, double stop) {
       NEGLIGIBLE_PART * b->size * d->per_metre * c->w->plan->scene[S_TOLERANCE];
   double reached = d->stop;
   if (b->surface->closed == DEVELOPABLE && (slip > 0 || any(offset)))
-    line(c, d, offset, slip > ROUNDING * b->size * d->per_metre);
+    add_line(c, d, offset, slip > ROUNDING * b->size * d->per_metre);
   else if (slip == 0 && !any(offset))
-    geodesic(c, 1, d, reached = stop, c->contact->row[K_FOLLOWS] > 0 ? FOLLOWING : NO_SLIP);
+    add_geodesic(c, 1, d, reached = stop, c->contact->row[K_FOLLOWS] > 0 ? FOLLOWING : NO_SLIP);
   else if (slip <= negligible && !any(offset))
-    geodesic(c, 1, d, d->stop, NEGLIGIBLE);
+    add_geodesic(c, 1, d, d->stop, NEGLIGIBLE);
   else {
-    const double until = driven(c, d, offset, negligible);
-    if (until < d->stop) geodesic(c, 1, drive_on(c->w, d->leg, until, d->stop), d->stop, SLIP_LEFT);
+    const double end = develop(c, d, offset, negligible);
+    if (end < d->stop) add_geodesic(c, 1, drive_on(c->w, d->leg, end, d->stop), d->stop, SLIP_LEFT);
   }
   if (slip > 0) {
     const double left = decay_at(d, d->stop - d->start);
@@ -237,18 +237,18 @@ static void push_contact(course_t *c, segment_t *s) {
   const track_t *finger = NULL;
   if (any(act)) {
     motion_t m = pushed_motion(c, 0, s, c->w1, 1.0);
-    finger = carry_out(c, &m);
+    finger = integrate_motion(c, &m);
     s->w1_panels = &finger->panels;
     set_path_velocity(c, m.state + m.n - 2);
   }
-  /* errors of V count by the greatest V that the accelerations can cause */
+  /* the unit of V's errors: |V| or, if greater, what the accelerations can cause, at most 1 */
   double push = 0.0;
   for (int k = 0; k < 4; k++) push = fmax(push, fabs(act[k]) * c->contact->body[k / 2].size);
   const double grown =
       fmax(push / fmax(d->least, 1e-300) * fmin(d->stop - d->start, time_constant(d)), 1e-3);
   motion_t m = pushed_motion(c, 1, s, c->v, 1.0 / fmin(fmax(norm(c->v), grown), 1.0));
   m.slip = 1.0, m.finger = finger;
-  s->v_panels = &carry_out(c, &m)->panels;
+  s->v_panels = &integrate_motion(c, &m)->panels;
   memcpy(c->v, m.state + m.n - 2, sizeof c->v);
 }
 
@@ -318,7 +318,7 @@ static void plan_segment(course_t *c, int64_t index, double *until) {
     until[0] = d->stop;
   } else if (until[0] <= d->start) {
     until[0] = free_until(c, 0, index);
-    geodesic(c, 0, d, until[0], c->contact->row[K_FOLLOWS] > 0 ? FOLLOWING : UNPUSHED);
+    add_geodesic(c, 0, d, until[0], c->contact->row[K_FOLLOWS] > 0 ? FOLLOWING : UNPUSHED);
   }
   if (any(s->acting) || any(s->acting + 2)) {
     push_contact(c, s);

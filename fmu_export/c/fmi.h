@@ -379,7 +379,7 @@ EXPORT status_t FMI(CompletedIntegratorStep)(void *instance, BOOLEAN no_return,
                                              BOOLEAN *enter_event_mode, BOOLEAN *terminate) {
   SYSTEM_ONLY(CONTINUOUS);
   NEEDS(enter_event_mode && terminate);
-  /* an input has jumped since the solver's last evaluation: it must restart */
+  /* an input has jumped, which the solver's evaluations have not seen: it must restart */
   *enter_event_mode = c->changed && !c->evaluated, *terminate = 0;
   c->now->jumped |= *enter_event_mode;
   c->changed = c->evaluated = 0;
@@ -415,8 +415,8 @@ EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], size
 
 /* --- events and steps ------------------------------------------------------------------------- */
 
-/* The results of an update of discrete states. `values` is true also where only a window has begun
-   or ended: importers then restart their solvers. */
+/* The results of an update of discrete states. `values` is true also where only a window or an
+   input has jumped, so that importers restart their solvers. */
 static void update(component_t *c, BOOLEAN *terminate, BOOLEAN *values, BOOLEAN *next_defined,
                    double *next_time) {
   enter_windows(c);
