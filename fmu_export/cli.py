@@ -46,7 +46,7 @@ def register(commands: Any) -> None:
         "--measured",
         choices=MEASUREMENTS,
         default="nothing",
-        help="inputs of measured states, or of pose and twist, to go on from",
+        help="add inputs for measured states, or pose and twist, from which contacts go on",
     )
     parser.add_argument(
         "--check", action="store_true", help="run the file against the results inside it"

@@ -131,7 +131,7 @@ static status_t set_times(component_t *c, double start, int stop_defined, double
 /* Initialization or event mode. Values are those after an event from here on, and no update changes
    them any more: importers pass them on between the two (FMI 3.0.2, 2.3.5). */
 static status_t enter_mode(component_t *c, int phase) {
-  enter_windows(c);
+  pass_edges(c);
   c->now->phase = phase;
   return OK;
 }
@@ -317,7 +317,7 @@ EXPORT status_t FMI(SetFMUState)(void *instance, void *state) {
   memcpy(c->own, s, s->length);
   forget(c);
   if (c->now->phase == EVENT && c->now->stepping && !c->uses_events) c->now->phase = STEP;
-  if (c->now->pending && !c->uses_events) enter_windows(c);
+  if (c->now->pending && !c->uses_events) pass_edges(c);
   return OK;
 }
 
@@ -419,7 +419,7 @@ EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], size
    input has jumped, so that importers restart their solvers. */
 static void update(component_t *c, BOOLEAN *terminate, BOOLEAN *values, BOOLEAN *next_defined,
                    double *next_time) {
-  enter_windows(c);
+  pass_edges(c);
   const int stepping = c->now->stepping;
   const double next = next_edge(c);
   *terminate = c->now->ended && !stepping, *values = c->now->jumped && !stepping;

@@ -60,7 +60,7 @@ static status_t start(component_t *c) {
              "that has this",
              name_of(m, greater), c->value[greater], name_of(m, less), c->value[less]);
   }
-  enter_windows(c);
+  pass_edges(c);
   for (long i = 0; i < m->n_contacts; i++) {
     const char *wrong = place_contact(c, i);
     if (wrong)
@@ -87,7 +87,7 @@ static status_t step(component_t *c, double target) {
   const long n = c->model->n_contacts;
   now->ended = target > now->limit && !reached(now->limit, target);
   if (now->ended) return report(c, DISCARD, "no step to t = %.9g s: " PAST_END, target, now->limit);
-  if (now->pending) enter_windows(c);
+  if (now->pending) pass_edges(c);
   for (long i = 0; i < n; i++)
     if (pushed_at_rest(c, i)) return report(c, DISCARD, "no step to t = %.9g s: " AT_REST, target);
   const status_t s = settle(c, "step", target);

@@ -63,7 +63,7 @@ static void turn_path(component_t *c, long i, const leg_t *leg) {
   if (makes_up(c->model) && leg->sigma[0] == 0.0) no_slip(c->model, i, x);
 }
 
-static void enter_windows(component_t *c) {
+static void pass_edges(component_t *c) { /* from here on, values at an edge are those after it */
   memory_t *now = c->now;
   const double before = now->acts_at;
   now->acts_at = snapped(c, now->time);
