@@ -23,7 +23,7 @@ from .data import as_c
 _WASM = (
     *("-mexec-model=reactor", "-s", "-msimd128", "-Wl,--export-dynamic"),
     *("-Wl,--export=malloc", "-Wl,--export=free"),
-    # longjmp, by exceptions as WebAssembly has them now
+    # longjmp, by WebAssembly's exceptions in their standard form
     *("-mexception-handling", "-mllvm", "-wasm-enable-sjlj"),
     *("-mllvm", "-wasm-use-legacy-eh=false"),
 )

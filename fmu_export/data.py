@@ -67,7 +67,7 @@ class _Data:
 
 def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
     """The bytes of scene.bin, and the instantiation token (FMI 3) or GUID (FMI 2) inside them, by
-    which it is matched with its description; described: what else that depends on."""
+    which it is matched with its description; described: what else it depends on."""
     scene, rows, data = table.scene, table.rows, _Data()
     contacts = [_contact(table, i, data) for i in range(len(scene.contacts))]
     orders = _orders(scene.object, table.first["object"])

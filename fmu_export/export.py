@@ -72,7 +72,7 @@ def export_fmu(
     data, token = scene_data(table, fmi_version, *interfaces)
     text = description.model_description(table, token, fmi_version, interfaces)
     name = description.model_identifier(scene)
-    # FMI's own headers are the importer's, which may give functions a prefix (FMI 3.0.2, 2.2.2).
+    # Without FMI's headers: the importer has its own, with a prefix if it wants (FMI 3.0.2, 2.2.2).
     sources = build.c_sources(data, name, fmi_version)
     files = {f"sources/{file}": source.encode() for file, source in sources.items()}
     files["resources/scene.bin"] = data

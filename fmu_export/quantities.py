@@ -17,7 +17,7 @@ METRE, RADIAN, SECOND, NONE = (1, 0, 0), (0, 0, 1), (0, 1, 0), (0, 0, 0)
 
 @dataclass(eq=False)
 class Variable:
-    """A scalar, or of FMI 3 an array.
+    """A scalar variable or, in FMI 3, an array.
 
     Attributes
     ----------

@@ -71,7 +71,7 @@ def check_fmu(path: str | os.PathLike[str], bar: float = 1e-10) -> float:
     times = {"stop_time": wanted[-1, 0], "output_interval": wanted[1, 0]}
     try:
         result = fmpy.simulate_fmu(str(path), fmi_type="CoSimulation", output=[*output], **times)
-    except Exception as error:  # fmpy raises bare ones
+    except Exception as error:  # fmpy raises plain Exceptions
         raise ContactSystemError(f"{path}: Co-Simulation cannot be run here: {error}") from error
     found = np.hstack([result[name].reshape(len(result), -1) for name in ("time", *output)])
     if found.shape != wanted.shape:
