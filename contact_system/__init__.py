@@ -1,4 +1,4 @@
-"""Contact curves that roll: plan them for a finger on an object, exactly and fast.
+"""Plan the contact curves of fingers that roll on an object, exactly and fast.
 
 Kumar & Mukherjee, "A note on synthesizing geodesic based contact curves".
 """
@@ -98,7 +98,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """A name that plans do not need; its package is imported at the first use."""
+    """Import `steering` or `sweeping`, which plans do not need, when one of their names is used."""
     for package in ("steering", "sweeping") if name in __all__ else ():
         module = import_module(f"{__name__}.{package}")
         if name in module.__all__:

@@ -1,4 +1,4 @@
-"""Zip archives from anywhere: errors name those that are damaged or none."""
+"""Opens zip archives, with clear errors for damaged files and for files that are no archive."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from .errors import ContactSystemError
 def opened(path: str | os.PathLike[str], what: str) -> Iterator[zipfile.ZipFile]:
     """The archive, for reading; `what` says in errors which file is expected.
 
-    Raises a ContactSystemError for no regular file, or no archive; also for what is found damaged
-    or encrypted while reading.
+    Raises a ContactSystemError if the path is no regular file or no archive, and if a member read
+    inside the ``with`` block is damaged or encrypted.
     """
     try:
         require_regular(path)

@@ -25,8 +25,8 @@ LARGEST = 1e100  # beyond this sigma^3 overflows
 
 @contextmanager
 def naming(place: str) -> Iterator[None]:
-    """Put the place in front of the text of every error of the package raised inside, but for one
-    that begins with it."""
+    """Put the place in front of the text of each of the package's errors raised inside, unless the
+    text begins with it."""
     try:
         yield
     except ContactSystemError as error:
@@ -53,7 +53,7 @@ def within(
 def require_regular(path: str | os.PathLike[str]) -> None:
     """Raise a SceneError for a folder, a device or a pipe, which may never end.
 
-    Raises an OSError if there is no file, a ValueError if the path is none.
+    Raises an OSError if there is no file, a ValueError if the path is not a valid one.
     """
     if not stat.S_ISREG(os.stat(path).st_mode):
         raise SceneError(
@@ -112,7 +112,7 @@ def finite_numbers(
     if is_plain(values):
         return values
     try:
-        if isinstance(values, (set, dict)):  # of no order, or keys
+        if isinstance(values, (set, dict)):  # a set has no order, and a dict gives its keys
             raise TypeError
         found = tuple(map(_as_float, values))
     except (TypeError, ValueError):
@@ -190,7 +190,7 @@ def shaped_array(
     remedy: str = "numbers",
     finite: bool = False,
 ) -> np.ndarray:
-    """The values as an array of floats; raises the error for others, or for another shape."""
+    """The values as an array of floats; raises the error if they are no numbers of this shape."""
     try:
         array = real_array(values)
     except (TypeError, ValueError, OverflowError):

@@ -46,7 +46,7 @@ PROGRAM = "contact-system"
 GROUP = "contact_system.commands"
 
 Laws = dict[Plan, list[Rejection]]
-"""Plans of a scene under some gain laws, each with the rejections of its contacts' slip."""
+"""Plans of one scene under different gain laws, each with the rejection of slip per contact."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -80,15 +80,15 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     run = commands.add_parser("run", help=text, parents=[scene, planned, method, results])
     run.set_defaults(run=_run)
 
-    text = "which way the planner takes, and why"
+    text = "how the planner computes each interval, and why"
     explain = commands.add_parser("explain", help=text, parents=[scene, planned, method])
     explain.set_defaults(run=_explain)
 
     text = "find legs that take a scene's contacts to goals"
     steer = commands.add_parser("reach", help=text, parents=[scene, planned, results])
-    text = 'a goal, such as "object_at = [2, 1]"; repeat --to for each contact, "" where it rests'
+    text = 'a goal, such as "object_at = [2, 1]"; one --to for each contact, "" for one at rest'
     steer.add_argument("--to", action="append", required=True, metavar="GOAL", help=text)
-    text = "look so many seconds for a shorter route; default %(default)g"
+    text = "seconds to search for a shorter route; default %(default)g"
     steer.add_argument("--seconds", type=float, default=0.0, metavar="X", help=text)
     steer.set_defaults(run=_reach)
 
@@ -110,7 +110,7 @@ def _gain_parameters() -> Iterable[str]:
 
 
 def _common() -> list[argparse.ArgumentParser]:
-    """Arguments of several commands: the scene; how it is planned; by which method; its results."""
+    """Parsers of arguments that commands share: scene; gain and tolerance; method; results."""
     scene, planned, method, results = (argparse.ArgumentParser(add_help=False) for _ in range(4))
     scene.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
     planned.add_argument("--gain", choices=tuple(LAWS), help="gain law instead of the scene's")
@@ -131,9 +131,9 @@ def _common() -> list[argparse.ArgumentParser]:
 
 
 def _add_foreign(commands: Any, words: Sequence[str]) -> None:
-    """Add the command of another package that is asked for, or for the help all of them.
+    """Add the requested command of another package; for the help, add all of them.
 
-    One that cannot be imported says so, in one line.
+    The help says in one line why a command cannot be imported; requesting it raises that error.
     """
     points = entry_points(group=GROUP)
     for point in [p for p in points if words and p.name == words[0]] or points:
@@ -160,7 +160,7 @@ def _scenes(args: argparse.Namespace) -> int:
 
 
 def _contraction(scene: Scene) -> list[str]:
-    """An empty line and where slip shrinks under the scene's profile; nothing for legs alone."""
+    """An empty line and where slip shrinks under the scene's profile; none if all have legs."""
     legs_alone = all(contact.legs for contact in scene.contacts)
     return [] if legs_alone else ["", paragraph(str(scene.contraction()))]
 
@@ -180,7 +180,7 @@ def _run(args: argparse.Namespace) -> int:
         planned = plan(scene, args.tolerance, args.method)
         laws = {planned: rejections(planned)}
         progress.step("planning under another gain law")
-        # the paper's gain law does not give its reported times: show the law that may beside it
+        # the printed gain law misses the paper's reported times: show the one that may give them
         if scene.gain.law == "path" and any(r.as_reported is False for r in laws[planned]):
             scene = scene.replace(gain=Gain.time(scene.gain.value))
             other = plan(scene, args.tolerance, args.method)
@@ -262,14 +262,14 @@ def results_folder(args: argparse.Namespace, scene: Scene) -> Path:
 
 
 def file_name(scene: Scene) -> str:
-    """The scene's name as a name of files and folders, short enough for any file system."""
+    """The scene's name made into a name for files, short enough for any file system."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in scene.name)
     name = name.encode()[:100].decode(errors="ignore").strip(".-")
     return name or "scene"
 
 
 def _write(args: argparse.Namespace, stem: Path, shown: Plan, other: Plan | None = None) -> None:
-    """Write and draw the results; print a line for each file, and one for times left out."""
+    """Write and draw the results; print a line for each file, and one if times are left out."""
     times = shown.sample_times()
     regular = shown.regular_times(times)
     singular = np.setdiff1d(times, regular).tolist()
@@ -374,7 +374,7 @@ def _verdict(laws: Laws, scene: Scene) -> Iterable[str]:
 
 
 def _great_circles(plan: Plan) -> Iterable[str]:
-    """Distance of the curves of fingers with imposed rolling from their great circles."""
+    """How far the curves of fingers with imposed rolling are from great circles."""
     for i, contact in enumerate(plan.scene.contacts):
         if contact.follows and contact.finger.chart.great_circles:
             points = plan.points(plan.sample_times())[:, i, 0]
@@ -386,7 +386,7 @@ def _great_circles(plan: Plan) -> Iterable[str]:
 
 
 def _overlaps(plan: Plan) -> Iterable[str]:
-    """Contacts whose bodies overlap beside the contact point, which a plan does not look at."""
+    """Notes on contacts whose bodies overlap beside the contact point, which plans do not check."""
     t = plan.regular_times(plan.sample_times())
     least = np.linalg.eigvalsh(relative_curvature(plan, t))[..., 0]
     for i, contact in enumerate(plan.scene.contacts):

@@ -32,10 +32,10 @@ from .theory.symbols import per_structure
 
 
 class Form(NamedTuple):
-    """How the motion of one contact is written; with the surfaces' structures, key of a function.
+    """How the motion of one contact is written: with the surfaces, the key of its cached function.
 
-    ambient: whether finger and object are moved in space. growths: intervals on which sigma grows,
-    for gain laws that make up for it.
+    forced: whether W_1 and V are states. ambient: whether finger and object are moved in space.
+    growths: intervals on which sigma grows, where the gain law makes up for it.
     """
 
     coordinates: str
@@ -47,7 +47,7 @@ class Form(NamedTuple):
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Numbers of states of its parts; finger and object come first."""
+        """Sizes of the parts of the state: finger, object, then psi, or W_1 and V if forced."""
         if self.coordinates == "chart":
             return 4, 4, 1
         finger, obj = ((InSpace if ambient else InChart).size for ambient in self.ambient)
@@ -59,7 +59,7 @@ class Form(NamedTuple):
 
 
 class Body(NamedTuple):
-    """One body of a contact: numbers (sign and parameters), size and place are symbols."""
+    """One body of a contact; its numbers (sign and parameters), size and place are symbols."""
 
     surface: Surface
     ambient: bool
@@ -76,7 +76,7 @@ class Body(NamedTuple):
         return function(ca.vertcat(self.place, *arguments), self.numbers)
 
     def regularity(self) -> ca.SX:
-        """The lesser Lame coefficient over the size: 0 where the chart is singular.
+        """The least diagonal entry of M over the size: 0 where the chart is singular.
 
         Negative where f_u x f_v points into the body, as beyond a sphere's pole; 1 for charts that
         are regular everywhere.
@@ -88,14 +88,14 @@ class Body(NamedTuple):
         if not surface.has_implicit:
             return least
         x, p, q = ca.vertsplit(self.call("frame"), 3)
-        outward = moving(surface, True)("second")(ca.vertcat(x, p), self.numbers)
-        return ca.copysign(least, ca.dot(outward, q))
+        right_handed = moving(surface, True)("second")(ca.vertcat(x, p), self.numbers)  # n x p
+        return ca.copysign(least, ca.dot(right_handed, q))
 
 
 class ContactMotion(NamedTuple):
     """What the outputs of a contact are computed from; (p_i, q_i) are the moving frames."""
 
-    rate: ca.SX  # x'
+    rate: ca.SX  # derivative of the contact's part of x
     state: ca.SX  # u1 v1 u1' v1' u2 v2 u2' v2' psi
     bodies: tuple[Body, Body]
     velocities: tuple[ca.SX, ca.SX]  # of the contact point along (p_i, q_i)
@@ -158,7 +158,7 @@ def _frame_motion(
     rates = []
     for b, f, velocity in zip((tip, body), states, velocities):
         rates.append(b.call("motion", velocity))
-        if b.ambient:  # drift off the surface dies out along a path of its radius of curvature
+        if b.ambient:  # drift off the surface decays over a path as long as a radius of curvature
             curvature = ca.sqrt(ca.sumsqr(b.call("shape")) / 2 + TINY)
             rates[-1] += sigma * curvature * (b.place - f)
     if form.forced:
@@ -212,7 +212,7 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     shapes = tip.call("shape"), body.call("shape")
 
     def derivative(value: ca.SX) -> ca.SX:
-        """Along the motion; disturbances are constant between edges."""
+        """d/dt along the motion; disturbances are constant between edges."""
         return ca.jtimes(value, x, rate) + ca.jtimes(value, t, ca.SX(1))
 
     twist = ca.vertcat(*relative_twist(frames, shapes, velocities, turn, sliding))

@@ -22,7 +22,7 @@ CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
 
 Value: TypeAlias = "ca.SX | float"
 Meaning: TypeAlias = tuple[int, Callable[..., Any], str]
-"""Number of arguments, the function of numbers, and CasADi's name of that of symbols."""
+"""Number of arguments, the function for numbers, and CasADi's name of the one for symbols."""
 
 
 def _alike(names: str, count: int) -> dict[str, Meaning]:
@@ -128,7 +128,7 @@ class _Reader:
         return self.result(node, float, node.value)
 
     def result(self, node: ast.expr, function: Callable[..., float], *values: Any) -> float:
-        """The function of numbers, if it is a finite number."""
+        """The function's value at numbers; raises if it is not a finite real number."""
         try:
             result = function(*values)
         except (ArithmeticError, ValueError) as error:

@@ -9,17 +9,17 @@ T = TypeVar("T")
 
 
 class kept(Generic[T]):
-    """An attribute computed at its first access; threads that compute it at once get the first.
+    """An attribute computed at its first access and stored in the instance under its name.
 
-    It is stored under its name, so do not ask ``super()`` for it.
-    This is ``functools.cached_property`` without its lock. Until Python 3.12 that lock is shared by
-    all instances, so a thread that holds it and waits for another lock may deadlock.
+    If several threads compute it at the same time, all get the value that was stored first.
+    ``super()`` cannot reach it. This is ``functools.cached_property`` without its lock: until
+    Python 3.12 all instances share that lock, so that a thread that waits with it may deadlock.
     """
 
-    def __init__(self, find: Callable[[Any], T]):
-        self.find, self.name, self.__doc__ = find, find.__name__, find.__doc__
+    def __init__(self, compute: Callable[[Any], T]):
+        self.compute, self.name, self.__doc__ = compute, compute.__name__, compute.__doc__
 
     def __get__(self, instance: Any, owner: type | None = None) -> T:
         if instance is None:
             return self  # type: ignore[return-value]
-        return instance.__dict__.setdefault(self.name, self.find(instance))
+        return instance.__dict__.setdefault(self.name, self.compute(instance))

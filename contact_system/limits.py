@@ -23,8 +23,8 @@ EVALUATIONS = 120_000
 with an implicit solver."""
 STRIPS = 10_000
 """Strips between neighbouring directions that a search for geodesics from one point looks at; each
-takes up to 5 ms. They are many where the least radius of curvature is tiny, or on a surface with
-many waves between the points."""
+takes up to 5 ms. A search needs many where the least radius of curvature is tiny, or on a surface
+with many waves between the points."""
 PLAN_BYTES = 5e7
 """Unpacked size of a saved plan's restart data."""
 FMU_BYTES = 2e9

@@ -42,13 +42,13 @@ def exact_slip(plan: Plan, contact: int) -> tuple[np.ndarray, np.ndarray]:
 
     |v_rel|(t) = |v_rel|(t0) sigma(t)/sigma(t0) exp(-(L(t) - L(t0))) (eq. `contracaccel`), with t0
     the start of each undisturbed interval. Only the slip at t0 is taken from the plan.
-    The times are 25 equally spaced ones and the edges of windows, where there is slip.
+    The times are 25 equally spaced ones and the edges of windows, without those of no slip.
     """
     knots = [plan.start, *np.ravel(windows(plan, contact)), plan.end]
     grid = np.union1d(np.linspace(plan.start, plan.end, 25), knots)
     times, values = [np.empty(0)], [np.empty(0)]
-    ways = itertools.product(plan.scene.way(contact), zip(knots[::2], knots[1::2]))
-    for (begin, end, profile, _), (start, stop) in ways:
+    intervals = itertools.product(plan.scene.way(contact), zip(knots[::2], knots[1::2]))
+    for (begin, end, profile, _), (start, stop) in intervals:
         tau = grid[(grid >= max(start, begin)) & (grid <= min(stop, end))] - begin
         tau = tau[profile(tau) > 0]
         if stop <= start or not len(tau):
@@ -72,16 +72,16 @@ class Rejection:
     ----------
     contact : int
     start, peak, end : float
-        Slip at the start, its maximum, sought at 65 times or more inside windows, and slip at the
+        Slip at the start, its maximum, sampled at 65 times or more in each window, and slip at the
         end [m/s].
     peak_time : float
         Time of the maximum [s].
     since : float
         End of the contact's last disturbance, or start of the plan if there is none [s].
     time : float
-        Time from `since` until slip falls below 5 % of its value there for good [s], of that just
-        before a window ends; of its peak afterwards, where a path starts from rest. inf if it is
-        above at the end, nan if there is no slip.
+        Time from `since` until slip stays below 5 % of its value at `since` [s] (just before, if a
+        window ends there), or of its later peak if it is zero there, as in a start from rest. inf
+        if slip is not below at the end, nan if there is no slip.
     reported : float
         Rejection time that the paper reports [s]; nan if it reports none, or if it comes from a
         dynamic simulation, as a plan has no contact physics.
@@ -146,16 +146,16 @@ def rejections(plan: Plan) -> list[Rejection]:
 
 def _last_slip(plan: Plan, t: np.ndarray, slip: np.ndarray) -> tuple[np.ndarray, ...]:
     """From slip (n_times, n_contacts), for each contact: when its last disturbance ends or the plan
-    starts, s; the slip that counts as rejected from then on; and the index of the last time with
-    more slip, -1 if there is none."""
+    starts, s; the level below which slip counts as rejected, m/s; and the index of the last time
+    at which slip is not below it, -1 if there is none."""
     since = np.full(slip.shape[1], plan.start)
     for d in plan.scene.disturbances:
         since[d.contact] = max(since[d.contact], d.stop)
     # slip by a rate offset ends with its window: take the slip just before
     before = np.where(since > plan.start, np.nextafter(since, plan.start), since)
     after = t[:, None] >= since
-    left = slip[np.searchsorted(t, before), np.arange(slip.shape[1])]
-    level = REJECTED * np.where(left > 0, left, np.where(after, slip, 0.0).max(axis=0))
+    first = slip[np.searchsorted(t, before), np.arange(slip.shape[1])]
+    level = REJECTED * np.where(first > 0, first, np.where(after, slip, 0.0).max(axis=0))
     above = after & (slip >= level)
     last = len(t) - 1 - np.argmax(above[::-1], axis=0)
     return since, level, np.where(above.any(axis=0), last, -1)
@@ -204,11 +204,11 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
     dict
         ``slip_start``, ``slip_peak``, ``slip_end`` : (n_contacts,), m/s; the peak is the greatest
         at 100 equally spaced times and at the ends of disturbances. ``recovery`` : (n_contacts,),
-        s, the time from the end of the contact's last disturbance (or the start) until slip stays
-        below 5 % of its value there, just before a window ends (of its peak, where that is 0),
-        interpolated between those times; inf if it stays above, nan if there is no slip.
-        ``state_end`` : (n_contacts, 9), as :meth:`Plan.states`; where a contact ends at a pole, of
-        a moment before, 1e-8 of the horizon.
+        s, as `Rejection.time`, but interpolated between those times: from the end of the contact's
+        last disturbance (or the start) until slip stays below 5 % of its value just before that,
+        or of its later peak if it is 0 there; inf if it does not, nan if there is no slip.
+        ``state_end`` : (n_contacts, 9), as :meth:`Plan.states`; for a contact that ends at a pole,
+        the state 1e-8 of the horizon earlier.
 
     Raises
     ------
@@ -242,14 +242,14 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
 # --- bodies beside a contact ---------------------------------------------------------------------
 
 CONFORMS = 1e-9
-"""Bodies of one form seem to part or overlap by less relative curvature, over the finger's size."""
+"""Least eigenvalue of the relative curvature, times the finger's size, that may be rounding."""
 
 
 def relative_curvature(plan: Plan, t: np.ndarray) -> np.ndarray:
     """K_2 + R_psi K_1 R_psi in E2, of each contact, (n_times, n_contacts, 2, 2), 1/m.
 
-    The bodies part in the directions in which it is positive, and overlap where it is negative. It
-    is NaN at a pole or an umbilic.
+    In directions in which it is positive the bodies part beside the contact; in those in which it
+    is negative they overlap. It is NaN at a pole or an umbilic.
     """
     states = plan.states(t, gaps=True)
     psi = states[..., 8]

@@ -23,7 +23,7 @@ from .writing import writing
 
 METHODS = ("auto", "chart")
 SOLVERS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
-ROUNDING = 1e-11  # of a time: what a hundred thousand steps add up to may be so far off
+ROUNDING = 1e-11  # relative error of a time that is the sum of a hundred thousand time steps
 
 
 def plan(
@@ -151,14 +151,14 @@ class Plan:
         if "carried" in names:
             self._require_frames("carried")
         times = _one_axis(t)
-        results = self._motion.evaluate(times, names)
+        results = self._motion.evaluate(times, names)  # None: a time is outside the horizon
         return self._motion.evaluate(self._times(times), names) if results is None else results
 
     def states(self, t: ArrayLike, gaps: bool = False) -> np.ndarray:
-        """u1 v1 u1' v1' u2 v2 u2' v2' psi: (len(t), n_contacts, 9); rad, or m where charts have it.
+        """u1 v1 u1' v1' u2 v2 u2' v2' psi: (len(t), n_contacts, 9); rad, or m for lengths u, v.
 
         Coordinates and psi are continuous along the path. Rates are those of the contact point,
-        object rate offsets included. With ``gaps`` they are NaN where otherwise an error is raised.
+        object rate offsets included. With ``gaps``, NaN takes the place of the error.
 
         Raises
         ------
@@ -234,9 +234,9 @@ class Plan:
     # --- explaining, continuing, saving --------------------------------------------------------
 
     def explain(self) -> str:
-        """A text: how each contact and interval was computed, why, and what was skipped.
+        """A text on how each contact and interval was computed, why, and what was skipped.
 
-        Its panels are steps of Gauss collocation.
+        A panel is one step of Gauss collocation.
         """
         head = f"{self.scene.title}: tolerance {self.tolerance:g}, method {self.method}"
         return "\n".join([head, *self._motion.lines()])
@@ -253,7 +253,7 @@ class Plan:
             s, inside this plan's horizon and before the end of the new scene.
         scene : Scene, optional
             The scene from t on, with the same surfaces and contacts; legs that begin after t may
-            be others. By default this plan's.
+            differ. Default: this plan's scene.
 
         Raises
         ------
@@ -263,12 +263,12 @@ class Plan:
         """
         after = self.scene if scene is None else scene
         require_scene(after)
-        t = self._goes_on(t, after, "continued")
+        t = self._continuation_time(t, after, "continued")
         where = f"{after.title}, continued at t = {t:g} s"
         if after.surfaces != self.scene.surfaces:
             raise SceneError(
-                f"{where}: the scene has other surfaces or contacts than the plan; give one with "
-                "the same"
+                f"{where}: the scene has other surfaces or contacts than the plan; give a scene "
+                "with the same ones"
             )
         self._require_frames("continued")
         for i, (old, new) in enumerate(zip(self.scene.contacts, after.contacts)):
@@ -279,31 +279,31 @@ class Plan:
             if old.start() != new.start() or begun[0] != begun[1]:
                 raise SceneError(
                     f"{where}: contact {i} starts or turns in another way than in the plan; give "
-                    "the same contact, on which only legs that begin after t may be others, or "
-                    "continue earlier"
+                    "the same contact, of which only legs that begin after t may differ, or "
+                    "continue from an earlier t"
                 )
         return Plan(after, self.tolerance, self.method, self.solver, t, self.moments(t))
 
-    def _goes_on(self, t: Any, scene: Scene, how: str) -> float:
-        """The time at which a plan of the scene goes on from this one; errors say how it does."""
+    def _continuation_time(self, t: Any, scene: Scene, how: str) -> float:
+        """t, checked: a plan of the scene can replace this one from t on; ``how`` is for errors."""
         t = self._time(t)
         where = f"{scene.title}, {how} at t = {t:g} s"
         if not t < scene.duration:
             raise SceneError(
-                f"{where}: nothing is left to plan, the scene ends at {scene.duration:g} s; go on "
-                "earlier or lengthen the scene"
+                f"{where}: nothing is left to plan, the scene ends at {scene.duration:g} s; give "
+                "an earlier t or lengthen the scene"
             )
         for s in (self.scene, scene):
             for i, contact in enumerate(s.contacts):
                 if contact.follows:
                     raise SceneError(
-                        f"{where}: {s.title}, contact {i}: imposed rolling cannot go on; give "
-                        "finger_velocity as numbers"
+                        f"{where}: {s.title}, contact {i}: imposed rolling cannot go on from "
+                        "there; give finger_velocity as numbers"
                     )
         return t
 
     def moments(self, t: float) -> Starts:
-        """Every contact as it is at time t, from which :meth:`continued` starts."""
+        """The state of every contact's moving frames at time t, as :meth:`continued` uses it."""
         return self._motion.moments(t)
 
     def _require_frames(self, name: str) -> None:
@@ -330,7 +330,7 @@ class Plan:
             A wrong shape, NaN, a contact at a pole or an umbilic, sigma(t) = 0, no time left to
             plan, or contacts with imposed rolling.
         """
-        t = self._goes_on(t, self.scene, "restart")
+        t = self._continuation_time(t, self.scene, "restart")
         what, shape = f"{self.scene.title}, restart: state", (len(self.scene.contacts), 9)
         measured = shaped_array(state, what, remedy=f"numbers, shape {shape}")
         measured = measured[0] if measured.ndim == 3 and len(measured) == 1 else measured
@@ -418,20 +418,20 @@ class Plan:
         return float(times[0])
 
     def _times(self, t: ArrayLike) -> np.ndarray:
-        """Times inside the horizon; those that rounding of steps puts outside are at its ends."""
+        """The times, checked to be in the horizon; those outside by rounding become its ends."""
         times, first, last = _one_axis(t), self.start, self.end
         inside = np.clip(times, first, last)
         outside = ~(np.abs(times - inside) <= ROUNDING * last)
         if not outside.any():
             return inside
-        bad, others = float(times[outside][0]), ""
+        bad, alternative = float(times[outside][0]), ""
         if bad > last:
-            others = ", or lengthen the scene's duration"
+            alternative = ", or lengthen the scene's duration"
         elif 0 <= bad < first:
-            others = ", or the plan that this one goes on from"
+            alternative = ", or the plan that this one goes on from"
         raise ContactSystemError(
             f"{self.scene.title}: t = {bad!r} s is outside the plan's horizon "
-            f"[{first:g}, {last:g}] s; ask inside it{others}"
+            f"[{first:g}, {last:g}] s; ask inside it{alternative}"
         )
 
 
@@ -452,7 +452,7 @@ def _one_axis(t: ArrayLike) -> np.ndarray:
 
 
 def require_plan(value: Any) -> None:
-    """Raise a ContactSystemError where something else is given, such as a scene."""
+    """Raise a ContactSystemError if the value is no Plan, such as a scene."""
     of_kind(Plan, value, "plan", "a Plan, such as plan(scene)", ContactSystemError)
 
 

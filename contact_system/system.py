@@ -1,6 +1,6 @@
 r"""The whole scene as one system of ordinary differential equations, as CasADi functions.
 
-For other integrators, such as that of a Drake LeafSystem. Everything is a pure function of
+Other integrators can use them, such as Drake's Simulator. Everything is a pure function of
 
 ====== =========================================================================================
 t      time, s
@@ -8,8 +8,8 @@ x      continuous states, contact by contact
 w      disturbances acting now, 6 for each contact: accelerations of finger and object (chart
        components), object rate offset; empty without disturbances and ``disturbance_input``
 held   numbers that change only at restarts and corners. In frame coordinates 5 for each contact
-       that is not accelerated: W_1, V and the time of that V, counted from the start of its leg.
-       For each contact with legs, also the start and the profile coefficients of its present leg
+       that is not accelerated: W_1, V, and the time since the start of its leg at which V has
+       this value. For a contact with legs, also the start and profile coefficients of its leg
 p      parameters: gain, profile coefficients, parameters and sizes of the surfaces
 ====== =========================================================================================
 
@@ -20,8 +20,8 @@ Two choices of coordinates describe the same motion:
 * "frame", moving frames (theory sections 4, 5): a point and a tangent (x, p) in space, or
   (u, v, theta) on a surface that has only a chart or whose chart decides the sign of a disturbance.
   Slip needs no state, as V e^{-L} is in closed form. W_1 and V are states only of a contact that
-  is accelerated, and of one with legs under a law that makes up for growth of sigma, which
-  removes slip at corners. The frames are chosen so that psi = -theta_1 - theta_2 and the map
+  is accelerated, and of one with legs under a gain law that makes up for growth of sigma: such a
+  law removes slip at corners. The frames are chosen so that psi = -theta_1 - theta_2 and the map
   between them is diag(1, -1).
 
 The equations are those of `theory`. CasADi is loaded when the first system is made.
@@ -68,7 +68,7 @@ class SceneSystem:
         ``help(contact_system.system)`` explains both, and t, x, w, held and p. Default: "frame" if
         the scene has legs, sigma = 0 or a surface without a chart, else "chart".
     disturbance_input : bool
-        Whether w may hold other disturbances than the scene's, on every contact.
+        Whether w has disturbances of every contact as inputs, not only those of the scene.
 
     Attributes
     ----------
@@ -81,8 +81,8 @@ class SceneSystem:
     edges : tuple of float
         Times at which :meth:`window_values` changes, and corners, ascending, s.
     corners : frozenset of float
-        Times at which a later leg begins, or V, being a state, ends as sigma = 0 under a law that
-        makes up for growth: :meth:`turned` gives x and held after it.
+        Times at which x or held jump; :meth:`turned` gives them just after. A leg after the first
+        begins, or sigma = 0 sets a V that is a state to 0, under a law that makes up for growth.
     state_slices, held_slices : list of slice
         The parts of x and held that belong to each contact.
 
@@ -147,7 +147,7 @@ class SceneSystem:
         return forms
 
     def _rests(self, contact: int) -> set[float]:
-        """Times after the start at which sigma = 0 sets a V that is a state to zero."""
+        """Times > 0 at which sigma = 0, so that an infinite lam sets a V that is a state to 0."""
         if not (self.forms[contact].forced and self.scene.gain.row.makes_up):
             return set()
         return {
@@ -198,7 +198,7 @@ class SceneSystem:
                 by_name.setdefault(name, []).append(value)
             signs.append(_sign(ca.vertsplit(own_law[1:]), own_t))
         outputs = {name: ca.vertcat(*values) for name, values in by_name.items()}
-        rate = outputs["derivatives"]  # added, since a minimum would hide a NaN
+        rate = outputs["derivatives"]  # TINY |rate|^2 makes the guard NaN; a minimum would not
         outputs["guard"] = ca.mmin(ca.vertcat(*signs)) - TINY * ca.sumsqr(rate)
         outputs["clearance"] = ca.mmin(outputs["regularity"])
         return outputs
@@ -291,7 +291,7 @@ class SceneSystem:
     def place(self, t: float, starts: Sequence[Any]) -> tuple[Array, Array]:
         """x and held of contacts that start at time t: (n_x,), (n_held,).
 
-        ``starts`` are of `Start`, or, in frame coordinates, a plan's :meth:`Plan.moments`.
+        ``starts``: a `Start` for each contact, or in frame coordinates :meth:`Plan.moments`.
 
         Raises
         ------
@@ -300,7 +300,7 @@ class SceneSystem:
         """
         if self.coordinates == "chart" and any(isinstance(start, Moment) for start in starts):
             raise SceneError(
-                f"{self.scene.title}: moments of a plan place contacts in frames; give "
+                f"{self.scene.title}: moments of a plan are states in frames, not in charts; use "
                 'coordinates="frame", or from_states(t, plan.states(t))'
             )
         x, held = list[float](), list[float]()
@@ -328,7 +328,7 @@ class SceneSystem:
         return [*w1, *run(START, point, ())[-2:, 0].tolist()]
 
     def leg_numbers(self, contact: int, t: float) -> Array:
-        """The held numbers of the leg of a contact from time t on: its start and profile."""
+        """Start and profile of the leg that a contact is on just after t; empty without legs."""
         way = [stretch for stretch in self.scene.way(contact) if stretch.start <= t]
         legs = self.scene.contacts[contact].legs
         return self._held_of(contact, way[-1]) if legs and way else np.zeros(0)
@@ -343,7 +343,7 @@ class SceneSystem:
         Parameters
         ----------
         t : float
-            One of `corners`. Contacts that have passed it already do not change.
+            One of `corners`. A contact whose held numbers are already those after it is unchanged.
         x, held : (n_x,), (n_held,)
             Their values before the corners; arrays of any number type, such as AutoDiffXd.
         carried : (4 n_contacts,)
@@ -385,7 +385,7 @@ class SceneSystem:
         w : (n_w,), optional
             The disturbances that act; default: the scene's.
         chosen : (n_contacts,), optional
-            Which contacts are measured, default all; the others get the scene's start.
+            Whether each contact is measured, default all; the others start as the scene says.
 
         Raises
         ------
@@ -409,12 +409,12 @@ class SceneSystem:
 
 
 def without_chart(scene: Scene) -> str:
-    """Why a scene cannot be written in charts, to follow its title; empty if it can."""
+    """Why chart equations cannot describe a scene, to be put after its title; empty if they can."""
     for i, contact in enumerate(scene.contacts):
         if contact.legs:
             return (
-                f", contact {i}: legs = {len(contact.legs)}: the chart equations tell a path's "
-                "direction by its speed, which is zero at a corner"
+                f", contact {i}: legs = {len(contact.legs)}: the chart equations have a path's "
+                "direction only in its rates u', v', which are zero at a corner"
             )
         for surface in (contact.finger, scene.object):
             if not surface.has_chart:
@@ -504,7 +504,7 @@ def system_table(system: SceneSystem, *outputs: str) -> tuple[Table, list[int]]:
 class SystemMachine(Machine):
     """A scene's system for integrators that evaluate it often; its `point` is t, x, w and held.
 
-    `parts` are its `results`, one array for each output.
+    `parts` are views of its `results`, one for each output.
     """
 
     def __init__(self, system: SceneSystem, *outputs: str):

@@ -11,9 +11,9 @@ from collections.abc import Iterable, Sequence
 
 
 def tell(*lines: str) -> None:
-    """Print lines at once. Once the reader, such as head, stops reading, work goes on unread."""
+    """Print lines at once; drop them if the reader of a pipe, such as head, has ended."""
     try:
-        print(*lines, sep="\n", flush=True)  # sys.stdout is None where it was closed
+        print(*lines, sep="\n", flush=True)  # does nothing if sys.stdout was closed and is None
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
@@ -26,7 +26,7 @@ def paragraph(text: str, indent: str = "") -> str:
 def table(
     head: Sequence[tuple[str, str]], rows: Sequence[tuple[str, ...]], texts: int
 ) -> Iterable[str]:
-    """Lines of a table under names, a word a line, and units; ``texts`` columns are flush left."""
+    """Lines of a table headed by names, a word a line, and units; ``texts`` columns flush left."""
     words = [[*name.split(), unit] for name, unit in head]
     tall = max(map(len, words))
     heads = list(zip(*([""] * (tall - len(word)) + word for word in words)))
@@ -39,7 +39,7 @@ def table(
 
 
 class Progress:
-    """A progress bar of named steps on stderr: on terminals, after a second."""
+    """A progress bar of named steps on stderr, shown on a terminal only, and after one second."""
 
     DELAY, WIDTH = 1.0, 24
 

@@ -13,20 +13,20 @@ from .errors import SceneError
 
 @contextmanager
 def writing(path: Path, place: str = "") -> Iterator[BinaryIO]:
-    """A file to write to; it replaces the one at ``path`` if no error occurs.
+    """A new file, open for writing; at the end it replaces the one at ``path``.
 
-    Until then its name ends in ``.part``, in the same folder; if the process is killed it stays
-    there and may be removed. It is flushed to the disk before it replaces the old file. Of a
-    symbolic link the target is replaced. Permissions are those of a new file, by the umask.
+    Until then it is in the same folder and its name ends in ``.part``; if the process is killed it
+    stays there and may be removed. It is flushed to the disk before it replaces the old file. If
+    the path is a symbolic link, its target is replaced. Permissions follow the umask.
 
     Raises a SceneError that begins with ``place`` and says why the file cannot be written; the old
     file stays, as it does after any other error.
     """
     target = Path(os.path.realpath(path))
-    # two may write one file
+    # a random name, as two threads or processes may write the same file
     part = target.with_name(f"{target.name[:40]}.{os.urandom(4).hex()}.part")
     try:
-        if target.exists() and not target.is_file():  # /dev/null, which root can replace
+        if target.exists() and not target.is_file():  # root could even replace /dev/null
             raise OSError("it is a folder, a device or a pipe")
         with part.open("xb") as file:
             yield file

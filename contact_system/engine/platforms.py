@@ -1,10 +1,10 @@
-"""Platforms and flags of the C compiler. It imports nothing, as setup.py reads it too."""
+"""Platforms and flags of the C compiler. It imports nothing of ours: setup.py reads it too."""
 
 from typing import NamedTuple
 
 
 class Platform(NamedTuple):
-    """Folders in FMI 2 and FMI 3, a library's suffix, ziglang's name of the target, a wheel's."""
+    """Folders in FMI 2 and 3, a library's suffix, and the target's name in ziglang and wheels."""
 
     folder_2: str
     folder_3: str
@@ -33,6 +33,6 @@ FLAGS = (
 
 
 def shared(suffix: str) -> tuple[str, ...]:
-    """Flags of a shared library, whose symbols are its own even beside those of other FMUs."""
+    """Linker flags of a shared library that uses its own symbols, not those of another FMU."""
     name = "-Wl,-install_name,@rpath/contact_engine.dylib" if suffix == ".dylib" else "-s"
     return ("-fPIC", "-shared", *["-Wl,-Bsymbolic"] * (suffix == ".so"), name)
