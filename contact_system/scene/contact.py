@@ -1,4 +1,4 @@
-"""Contacts, and how the object turns. Arguments are checked when an object is made."""
+"""Contacts, and how the object turns. Arguments are checked when an instance is made."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def a_text(value: Any, what: str) -> str:
 
 
 def all_of(kind: type | tuple[type, ...], values: Any, what: str, names: str) -> tuple:
-    """The values as a tuple, each of the kind; errors call the kind by the names."""
+    """The values as a tuple; raises unless each is of the kind, which errors call ``names``."""
     # list and tuple first: a check against an abstract class takes longer
     if isinstance(values, (kind, str)) or not isinstance(values, (list, tuple, Iterable)):
         raise SceneError(f"{what} = {values!r}: give a list")
@@ -49,7 +49,7 @@ def all_of(kind: type | tuple[type, ...], values: Any, what: str, names: str) ->
 
 
 def rolled(angle: float, w: Any) -> Any:
-    """R_psi w."""
+    """R_psi w with psi = angle; see `theory.equations.reflection`."""
     c, s = math.cos(angle), math.sin(angle)
     return c * w[0] - s * w[1], -s * w[0] - c * w[1]
 
@@ -73,7 +73,7 @@ class Start(NamedTuple):
 class Contact:
     """One finger on the object, and the initial state of their contact.
 
-    Velocities are path velocities (per metre of s), so sigma may start at zero.
+    Velocities are per metre of path length s, not per second, so sigma may start at zero.
 
     Parameters
     ----------
@@ -81,15 +81,15 @@ class Contact:
         The finger (body 1).
     object_at : (float, float)
         Chart coordinates (u, v) of the contact on the object (rad, or the chart's own units;
-        ``math.radians(120)`` for 120 degrees). A scene brings them into the chart's regular range,
-        without whole turns, which states of a plan may have: (-1.57, 2.44) on a sphere, where
-        f_u x f_v points inward, becomes the same point with an outward normal, and velocities are
-        taken in the frame there. The chart of a triaxial ellipsoid covers it twice: on it
-        velocities, angle and disturbances are turned together with the frame.
+        ``math.radians(120)`` for 120 degrees). A scene moves them into the chart's regular range
+        and removes whole turns. On a sphere (-1.57, 2.44), where f_u x f_v points inward, becomes
+        the coordinates of the same point at which it points outward, and velocities are taken in
+        the frame there. The chart of a triaxial ellipsoid covers it twice: if the other pair of
+        coordinates is taken, velocities, angle and disturbances are turned with the frame.
     finger_at : (float, float)
         The same on the finger.
     angle : float
-        psi at t = 0, the contact angle between the two frames [rad].
+        psi at t = 0, the angle between the two contact frames (theory section 2) [rad].
     finger_velocity : (float, float) or "rolling"
         M1 dq1/ds in the finger's frame E1, dimensionless: its length times sigma is the speed of
         the contact point on the finger, m/s. "rolling": rolling is imposed, and the finger's curve
@@ -100,9 +100,9 @@ class Contact:
     name : str
         For messages and pictures.
     legs : sequence of Leg
-        A path with corners. Each leg has its own direction, length, duration and sigma, in place of
-        the scene's profile; after the last leg the contact rests. Directions are measured from
-        ``finger_velocity``, which then must be two numbers.
+        A path with corners. Each leg has its own direction, length, duration and sigma, which
+        replaces the scene's profile; after the last leg the contact rests. Directions are measured
+        from ``finger_velocity``, which must then be two numbers.
 
     Raises
     ------
@@ -144,7 +144,7 @@ class Contact:
             )
 
     def start(self) -> Start:
-        """The start, words replaced by numbers."""
+        """The start, with the words "rolling" and "rest" replaced by numbers."""
         w1: Any = self.finger_velocity
         w2: Any = self.object_velocity
         if self.legs:

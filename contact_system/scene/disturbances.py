@@ -1,7 +1,7 @@
 """Disturbances of contacts: one class for each kind.
 
-A kind says to which of the inputs of a contact it adds (`SLOTS`, two chart components each;
-engine/motion.c reads them), and so which body it acts on and whether it accelerates it.
+Each kind adds to one of the inputs of a contact, its slot (`SLOTS`, two chart components each;
+engine/motion.c reads them). The slot tells which body it acts on and whether it accelerates it.
 """
 
 from __future__ import annotations

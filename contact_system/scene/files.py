@@ -46,7 +46,7 @@ _FORMULAS = ("f", "F")  # required in files; in Python ``formula`` may replace t
 
 
 def _surface_keys(name: str) -> dict[str, bool]:
-    """Keys of a surface in files, which are its class's arguments, and whether one is required."""
+    """Keys of a surface in files, i.e. arguments of its class: whether each one is required."""
     arguments = inspect.signature(surfaces.KINDS[name]).parameters
     return {
         key: parameter.default is parameter.empty or key in _FORMULAS
@@ -56,7 +56,7 @@ def _surface_keys(name: str) -> dict[str, bool]:
 
 
 _DOTTED = re.compile(r"(?<![^\s\[])(?:[^\s.\[]++\s*+\.\s*+){2,}+")
-"""A key of many parts; the time of parsing it grows with the square of their number."""
+"""A dotted key of many parts: the time to parse one grows with the square of their number."""
 
 # --- reading -----------------------------------------------------------------------------------
 
@@ -83,8 +83,8 @@ def _scene(text: str, source: str) -> Scene:
         ) from None
     contacts = document.get("contacts")
     all_legs = isinstance(contacts, list) and all("legs" in c for c in contacts if type(c) is dict)
-    moved = () if all_legs else ("duration", "profile")
-    table = _table(document, SCENE_KEYS, (*moved, "object", "contacts"))
+    motion = () if all_legs else ("duration", "profile")
+    table = _table(document, SCENE_KEYS, (*motion, "object", "contacts"))
     fields = fields_of({"name": Path(source).stem, **table})
     for i, contact in enumerate(fields["contacts"]):
         with naming(f"contacts[{i}]"):
@@ -93,11 +93,11 @@ def _scene(text: str, source: str) -> Scene:
 
 
 def refuse_degrees(places: Contact | Goal, body: Surface, finger: Surface) -> None:
-    """Refuse places of more than two turns. States of plans may have them; who types them means
-    degrees, which would be other places, as whole turns are taken off."""
+    """Refuse coordinates beyond two turns: they are degrees by mistake, and without this check
+    whole turns would be removed and the contact put at another place."""
     for key, surface in (("object_at", body), ("finger_at", finger)):
         for x, period in zip(getattr(places, key) or (), surface.periods()):
-            # a coordinate without period ends at poles, or is no angle
+            # a coordinate without a period is an angle that ends at poles, or no angle
             _refuse_turns(x, key, period or (TURN if surface.chart.singular_at else math.inf))
 
 
@@ -110,12 +110,12 @@ def _refuse_turns(x: Any, key: str, turn: float) -> None:
 
 
 def fields_of(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of a scene, of one of its parts or of a goal, by their keys in a file."""
+    """Fields of a scene, of one of its parts or of a goal, from a table of a file."""
     return {key: _value(key, value) for key, value in table.items()}
 
 
 def _value(key: str, value: Any) -> Any:
-    """The value of a key, which has the same meaning in every table; by default numbers."""
+    """A key's value as the field's type; a key means the same in all tables, by default numbers."""
     if key in _AS_GIVEN or (key.endswith("velocity") and isinstance(value, str)):
         return value
     if key in _PARTS:
@@ -143,7 +143,7 @@ def _value(key: str, value: Any) -> Any:
 
 
 def _made(kind: Any, value: Any, **defaults: Any) -> Any:
-    """A part of a scene from its table, whose keys are its fields."""
+    """A part of a scene from its table: an instance of ``kind``, whose fields are the keys."""
     fields = dataclasses.fields(kind)
     needed = [f.name for f in fields if f.default is dataclasses.MISSING]
     required = [key for key in needed if key not in defaults]
@@ -242,7 +242,7 @@ def _numbers(value: Any, what: str) -> Any:
 def scene_to_toml(scene: Scene) -> str:
     """TOML text of a scene; reading it back gives an equal scene, every float to the last bit.
 
-    Refuses a surface that was given as a Python function, or is of your own class.
+    Raises a SceneError for a surface that is given by a Python function or is of a user's class.
     """
     with naming(scene.title):
         table = {key: getattr(scene, key) for key in ("name", "description", "duration")}
@@ -287,7 +287,7 @@ def _toml(value: Any) -> str:
 
 
 def _angle(x: float) -> float | str:
-    """As a file has an angle: of more than two turns as a text, which is not taken for degrees."""
+    """An angle for a file; beyond two turns a text, as a number would be refused as degrees."""
     return x if abs(x) <= 2 * TURN else repr(x)
 
 

@@ -32,13 +32,13 @@ class Leg:
         Angle of the path from the contact's ``finger_velocity``, in the finger's parallel frame
         (theory section 4), rad. Two legs with the same direction meet without a corner.
     length : float or None
-        Length of the path s, m; on the finger it is multiplied by the length of
-        ``finger_velocity``. 0: the contact rests. None: follows from the profile.
+        Length along s, m; the curve on the finger is |finger_velocity| times as long. 0: the
+        contact rests. None: the length follows from the profile.
     duration : float
         s.
     profile : Profile, optional
-        sigma over the time since the leg's start; by default with minimum jerk from rest to rest,
-        s = length (10 x^3 - 15 x^4 + 6 x^5) with x = t/duration.
+        sigma as a function of the time t since the leg's start. Default: minimum jerk, from rest
+        to rest, s = length (10 x^3 - 15 x^4 + 6 x^5) with x = t/duration.
 
     Raises
     ------
@@ -83,16 +83,16 @@ class Leg:
 
 
 class Stretch(NamedTuple):
-    """A leg, or the rest after the last one, at its place in the horizon."""
+    """The interval of a leg within the horizon, or that of the rest after the last leg."""
 
     start: float  # s
     stop: float
-    profile: Profile  # sigma over the time since the start
+    profile: Profile  # sigma as a function of the time since the start
     turn: tuple[float, float] = STRAIGHT  # cosine and sine of the path's turn at the start
 
 
 def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
-    """Legs one after the other on a horizon [s], then rest, unless they end in motion."""
+    """The intervals of legs on a horizon [s], and of the rest after them unless they end moving."""
     result, start, before = [], 0.0, legs[0].direction
     for leg in legs:
         assert leg.profile is not None
@@ -103,7 +103,7 @@ def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
         turn = math.cos(angle), math.sin(angle)
         result.append(Stretch(start, stop, leg.profile, turn))
         start, before = stop, leg.direction
-    if start < duration or not _ends(result[-1])[1]:  # a rest of 0 s goes on beyond the horizon
+    if start < duration or not _ends(result[-1])[1]:  # even of 0 s, for times after the horizon
         result.append(Stretch(start, duration, STILL))
     return tuple(result)
 
@@ -118,7 +118,7 @@ def speed(way: Sequence[Stretch], t: np.ndarray) -> np.ndarray:
 
 
 def length(way: Sequence[Stretch], t: float) -> float:
-    """Length of the path until time t [s], m; the last stretch continues without end."""
+    """Length of the path until time t [s], m; the last stretch continues beyond its stop."""
     ends = [*(stretch.stop for stretch in way[:-1]), math.inf]
     spans = [(s.profile, min(t, end) - s.start) for s, end in zip(way, ends) if s.start < t]
     return math.fsum(float(profile.arc_length(span)) for profile, span in spans)
@@ -148,7 +148,7 @@ def check_legs(legs: Sequence[Leg], duration: float) -> None:
 
 
 def _ends(stretch: Stretch) -> tuple[float, float]:
-    """sigma at the start and the end of the stretch; 0 if it may be rounding."""
+    """sigma at the start and the end of the stretch, m/s; 0 where it may be rounding."""
     span, c = stretch.stop - stretch.start, stretch.profile.coefficients
     first, last = clear_value(c, 0.0), clear_value(c, span)
     if last and not abs(last) > _JUMP * polynomial([*map(abs, c)], span):

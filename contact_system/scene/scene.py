@@ -27,7 +27,7 @@ from .legs import STILL, Stretch, check_legs, length, speed, stretches
 
 KINDS = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
 NO_CLAIMS: Mapping[str, Any] = {"paper": {}, "chosen": ()}
-"""Fields of a scene made from another one, of which the paper reports nothing."""
+"""Changes for a scene that is derived from another: the paper reports nothing of it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +52,8 @@ class Scene:
     disturbances : sequence of Disturbance
         Overlapping windows add.
     turning : Turning, optional
-        How the object turns in the world; contact curves are relative to the object and do not
-        depend on it.
+        How the object turns in the world. Contact curves do not depend on it: they are relative to
+        the object.
     name, description : str
         For messages and pictures.
     source : str
@@ -114,8 +114,8 @@ class Scene:
     def replace(self, **changes: Any) -> Scene:
         """A copy with some fields changed, checked like any scene.
 
-        With new contacts, disturbances that are not replaced keep their components, which refer to
-        coordinates in the chart's regular range.
+        If contacts are replaced and disturbances are not, the latter keep their components, which
+        refer to coordinates in the chart's regular range.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class Scene:
     def contact_name(self, index: int) -> str:
         """The contact's name for tables and pictures, or "contact" and its index.
 
-        The index follows a name that several contacts have.
+        A name that several contacts share is followed by the index.
         """
         name = self.contacts[index].name
         if not name:
@@ -142,7 +142,7 @@ class Scene:
 
     @property
     def title(self) -> str:
-        """The scene's name for messages."""
+        """The scene as messages call it: "scene 'K4'"."""
         return f"scene '{self.name}'" if self.name else "scene"
 
     @property
@@ -163,7 +163,7 @@ class Scene:
         return tuple(sorted({0.0, self.duration, *self.window_edges, *corners}))
 
     def way(self, contact: int) -> tuple[Stretch, ...]:
-        """The legs of a contact; without legs, one stretch with the scene's profile."""
+        """The stretches of a contact's path: its legs, or one with the scene's profile."""
         if legs := self.contacts[contact].legs:
             return stretches(legs, self.duration)
         return (Stretch(0.0, self.duration, self.profile),)
@@ -173,7 +173,7 @@ class Scene:
         return np.stack([speed(self.way(i), t) for i in range(len(self.contacts))], axis=-1)
 
     def path_length(self, t: float) -> float:
-        """The longest path of a contact until time t [s], m."""
+        """Length along s, m, of the longest path of any contact until time t [s]."""
         return max(length(self.way(i), t) for i in range(len(self.contacts)))
 
     def _check_parts(self) -> None:
@@ -293,17 +293,17 @@ PAPER_NUMBERS = PAPER_KEYS[2:]
 
 
 def refuse_scene_keys(table: Mapping, own: Iterable[str]) -> None:
-    """Refuse keys of the scene in another table: TOML gives lines to the table above them."""
+    """Refuse keys of the scene in another table: to TOML a line belongs to the header above it."""
     for key in table:
         if key in SCENE_KEYS and key not in own:
             raise SceneError(
-                f"key '{key}' is no key of this table; that of the scene stands above all "
+                f"key '{key}' is no key of this table but one of the scene: write it above all "
                 "headers, such as [[contacts]]"
             )
 
 
 def _plain(value: Any, key: Any) -> Any:
-    """A copy of a value of a table, which holds only what a scene file can hold."""
+    """A copy of a value, of types that a scene file can hold; raises if it has others."""
     try:  # numpy's numbers and arrays have a method tolist
         text = json.dumps(value, allow_nan=False, default=operator.methodcaller("tolist"))
     except (TypeError, ValueError, AttributeError):
@@ -316,7 +316,7 @@ def _plain(value: Any, key: Any) -> Any:
 def acting(scene: Scene, t: float) -> np.ndarray:
     """Disturbances that act on the interval that begins at t: (n_contacts, 6), chart components.
 
-    Two numbers each, in the order of `SLOTS`.
+    The columns are two for each of `SLOTS`, in their order.
     """
     values = np.zeros((len(scene.contacts), 2 * len(SLOTS)))
     for d in scene.disturbances:
@@ -326,7 +326,7 @@ def acting(scene: Scene, t: float) -> np.ndarray:
 
 
 def refuse_rest(scene: Scene, contact: int, start: float, stop: float) -> None:
-    """Raise a SceneError if sigma = 0 in a window of an acceleration: dq/ds would be infinite."""
+    """Raise a SceneError if sigma = 0 in an acceleration's window: dq/ds would become infinite."""
     inside = [
         max(stretch.start + t, start)
         for stretch in scene.way(contact)
