@@ -1,4 +1,4 @@
-"""Surfaces of bodies: one file for each class, with its chart. A new one has a line here."""
+"""Surfaces of bodies: each class and its chart in one file. A new class is imported here."""
 
 # ruff: noqa: F401
 

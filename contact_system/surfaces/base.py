@@ -1,10 +1,10 @@
 r"""The base class of surfaces: chart, inverse chart, level function and metric quantities.
 
-A surface is defined in symbols (``*_expr`` methods, CasADi SX), from which its tables are lowered;
-numerical methods run these tables and are vectorised over leading axes. A surface has a `Chart` and
-numbers for it. ``inside=True`` puts the body on the other side: the chart becomes ``f(u, -v)`` and
-the level function changes sign, so that ``f_u x f_v`` still points out of the body. In symbols the
-side is a sign, -1 inside, and the first of the surface's numbers.
+A surface is defined in symbols (``*_expr`` methods, CasADi SX), which are lowered to tables of
+instructions; numerical methods run these tables and are vectorised over leading axes. A surface has
+a `Chart` and numbers for it. ``inside=True`` puts the body on the other side: the chart becomes
+``f(u, -v)`` and the level function changes sign, so that ``f_u x f_v`` still points out of the
+body. In symbols the side is a sign, -1 inside, and the first of the surface's numbers.
 
 SI units, radians.
 """
@@ -41,8 +41,8 @@ class Surface:
     """A smooth surface that bounds a body. Immutable; compared by structure and numbers.
 
     Subclasses define `chart`, `size`, `_level`, and `parameters` if these are not the fields. In
-    symbolic methods, ``numbers`` is an SX vector of the sign of the side, -1 inside, followed by
-    ``p``, the symbols of `parameters`.
+    symbolic methods, ``numbers`` is an SX vector: the sign of the side, -1 inside, then ``p``, the
+    symbols of `parameters`.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Surface:
 
     has_chart: ClassVar[bool] = True
     has_implicit: ClassVar[bool] = True
-    reach: ClassVar[float] = math.inf  # longest panel, in sizes; bumps between nodes are not seen
+    reach: ClassVar[float] = math.inf  # longest panel, in sizes: bumps between nodes are missed
     __match_args__: ClassVar[tuple[str, ...]]  # by dataclasses: the positional arguments
     examples: ClassVar[tuple[tuple[Any, ...], ...]] = ()
     """For classes whose tables are built into the engine: arguments for each structure."""
@@ -136,13 +136,13 @@ class Surface:
 
     @property
     def bend(self) -> float:
-        """Typical least radius of curvature, m; the size if it is not known. At a tip or an inner
-        rim, which few paths meet, it may be far less."""
+        """Typical least radius of curvature, m; the size if it is not known. The radius may be far
+        less at a tip or an inner rim, which few paths meet."""
         return self.size
 
     @property
     def injectivity(self) -> float:
-        """Length, m, up to which every geodesic is the shortest between its ends; 0: unknown."""
+        """Length, m, up to which each geodesic is the shortest line to its end; 0: unknown."""
         return 0.0
 
     def periods(self) -> Periods:
@@ -167,11 +167,11 @@ class Surface:
 
     @kept
     def identity(self) -> Hashable:
-        """What surfaces are compared by."""
+        """The structure, numbers and options by which surfaces are compared."""
         options = [getattr(self, w.name) for w in fields(self) if w.kw_only]
         return (self.structure, self.parameters, self.size, *options)
 
-    # -- symbolic; see `has_chart` and `has_implicit`
+    # -- symbolic: the chart's need `has_chart`, the level function's `has_implicit`
 
     def chart_expr(self, numbers: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
         """Return the chart f(u, v), (3, 1), m."""
@@ -194,14 +194,14 @@ class Surface:
         return axes @ x_axis, side * (axes @ y_axis), m
 
     def geometry_expr(self, numbers: ca.SX, place: ca.SX) -> ChartGeometry:
-        """Return every metric quantity at symbols of (u, v), or of x without a chart."""
+        """Return every metric quantity at the symbols ``place``: (u, v), or x without a chart."""
         chart = self.chart_expr(numbers, place[0], place[1])
         return chart_geometry(chart, place, self.chart.orthogonal)
 
     def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return the level function, its gradient and Hessian, in symbols of `parameters` and x.
 
-        It is zero on the surface; the gradient points out of the body, or into one that is inside.
+        It is zero on the surface. The gradient points out of the body, or into it if ``inside``.
         """
         level = self._level(p, x)
         hessian, gradient = ca.hessian(level, x)
@@ -291,7 +291,7 @@ class Surface:
             There is no contact frame (pole, umbilic): the metric root is below 1e-12 of the size.
         """
         if isinstance(u, float) and isinstance(v, float) and math.isfinite(u + v):
-            # one point: without arrays, and without a table if it is clearly regular
+            # fast way for one point: no arrays, and no table if the point is clearly regular
             us, vs = self._wrap(u, v)
             chart, least = self._regular
             if not chart.floor(us, vs) > least:
@@ -316,7 +316,7 @@ class Surface:
 
     @kept
     def _regular(self) -> tuple[Chart, float]:
-        """The chart with its numbers, and the `floor` of clearly regular points."""
+        """The chart with its numbers, and the `floor` above which points are clearly regular."""
         return self.chart(self.parameters), 2 * SINGULAR * self.size
 
     def _require_regular(self, u: Array, v: Array) -> None:
@@ -365,7 +365,7 @@ class Surface:
         places = np.stack(flat) if self.has_chart else self.point(*flat).T
         table = run(self.tables.geometry, places, self.numbers)
         results = []
-        for name in names:  # one column for each point, first index fastest
+        for name in names:  # the table has a column for each point, first index fastest
             entries = table[ROWS[name]].reshape((*QUANTITIES[name], u.size), order="F")
             results.append(np.moveaxis(entries, -1, 0).reshape(u.shape + QUANTITIES[name]))
         return results
@@ -375,12 +375,12 @@ class Surface:
 
 
 def run_in_space(surface: Surface, name: str, *rows: ArrayLike) -> Array:
-    """A table of `development.IN_SPACE` at states in columns, given by their rows."""
+    """Run a table of `development.IN_SPACE` at inputs in columns, given by their rows."""
     return run(surface.tables.ambient[IN_SPACE.index(name)], np.vstack(rows), surface.numbers)
 
 
 def store(surface: Surface, **values: Any) -> None:
-    """Store checked values in a frozen dataclass while it is made."""
+    """Set attributes of a frozen dataclass while it is being initialised."""
     for name, value in values.items():
         object.__setattr__(surface, name, value)
 

@@ -42,7 +42,7 @@ def wrap_angle(angle: Angle) -> Angle:
 
 
 def fold_latitude(v: Angle) -> tuple[Angle, Any]:
-    """Return the angle in [-pi/2, pi/2] with the sine of v, and where it differs from v."""
+    """Return the angle in [-pi/2, pi/2] with the sine of v, and whether cos v is negative."""
     v = wrap_angle(v)
     beyond = abs(v) > math.pi / 2
     return choose(beyond, choose(v > 0, math.pi, -math.pi) - v, v), beyond
@@ -82,8 +82,8 @@ class Chart:
     def frame(self, x: ca.SX) -> Frame:
         """Return (x axis, y axis, M) at a point x on the surface.
 
-        Default: that of the chart at the point's coordinates. Charts override it to avoid
-        trigonometric functions.
+        By default it differentiates the chart at the point's coordinates. Charts override it to
+        avoid trigonometric functions.
         """
         q = ca.SX.sym("q", 2)
         f_u, f_v = ca.horzsplit(ca.jacobian(self.point(q[0], q[1]), q))

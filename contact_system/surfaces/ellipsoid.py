@@ -1,7 +1,7 @@
 """Ellipsoids: Jacobi's chart and its limits for equal axes.
 
-Sources: Kumar & Mukherjee (eq. ``ellipsoid`` and text); the inverse chart is the one of
-sphero-conal coordinates, see `JacobiChart`.
+Sources: Kumar & Mukherjee (eq. ``ellipsoid`` and text); the inverse chart is that of sphero-conal
+coordinates, see `JacobiChart`.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from .charts import (
 from .sphere import PolarChart
 
 THINNEST = 1e-6
-"""Least allowed c/a. The rim has the radius of curvature c^2/a, here 1e-12 a, which is the default
-tolerance. Below c/a = 1e-4 most paths over the rim are refused; at 1e-12, rounding of x would make
-results wrong without notice."""
+"""Least allowed c/a. The rim then has the radius of curvature c^2/a = 1e-12 a, as small as the
+default tolerance. Below c/a = 1e-4 most paths over the rim are refused; at c/a = 1e-12 rounding of
+x would make results wrong without notice."""
 
 
 class JacobiChart(Chart):
@@ -87,7 +87,7 @@ class JacobiChart(Chart):
         half_product = k * l1 * ca.fabs(ys)
         total = hypot(difference, 2 * half_product)
         greater = ca.sqrt((ca.fabs(difference) + total) / 2)
-        # At an umbilic both vanish; the bound covers squares that underflow.
+        # Both vanish at an umbilic. If squares underflow, the minimum keeps the root <= `greater`.
         smaller = ca.fmin(half_product / ca.fmax(greater, TINY), greater)
         alpha_leads = difference >= 0
         root_alpha = ca.if_else(alpha_leads, greater, smaller)
@@ -240,7 +240,7 @@ class Ellipsoid(OfLengths):
 def second_degree(values: ca.SX, axes: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """`Surface.level_geometry` of x^T A x = 1, with A = axes diag(values) axes^T.
 
-    Along the principal axes, as terms of A x would cancel far out on the long ones.
+    Computed along the principal axes: terms of A x would cancel far out on the long ones.
     """
     along = axes.T @ x
     slopes = values * along
@@ -248,7 +248,7 @@ def second_degree(values: ca.SX, axes: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, c
 
 
 def require_thick(kind: str, a: float, c: float) -> None:
-    """Raise a SurfaceError for an ellipsoid that is too flat or too thin to be resolved."""
+    """Raise a SurfaceError for an ellipsoid so flat or thin that doubles do not resolve its rim."""
     if c < THINNEST * a:
         raise SurfaceError(
             f"{kind}: the least semi-axis, {c!r} m, is less than {THINNEST:g} of the greatest, "

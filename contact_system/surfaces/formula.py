@@ -1,6 +1,6 @@
-"""A user's formula of a surface, a function or text, converted to data.
+"""A user's formula of a surface, a Python function or text, converted to data.
 
-A function is called only once, on symbols. Named parameters stay symbols, so that changing one
+A function is called only once, with symbols. Named parameters stay symbols, so that changing one
 needs no new tables.
 """
 
@@ -33,7 +33,7 @@ class Formula:
     """Named parameters, sorted."""
     values: tuple[float, ...]
     text: tuple[str, ...] | None
-    """The formula as written, where it was written as text."""
+    """The formula as written; None if it was given as a function."""
 
     @property
     def named(self) -> dict[str, float]:
@@ -58,10 +58,10 @@ class Formula:
 
 
 def make_formula(formula: Any, parameters: Any, letters: str) -> Formula:
-    """Turn what a user wrote, a function, texts or a `Formula`, into a checked `Formula`.
+    """Turn what a user gave, a function, texts or a `Formula`, into a checked `Formula`.
 
-    letters: the coordinates in texts, "uv" of a chart with three components, "xyz" of a level
-    function.
+    letters: the variables of texts, "uv" for a chart, of three components, "xyz" for a level
+    function, of one.
     """
     numbers = _named(parameters, letters)
     if letters == "uv":
@@ -93,7 +93,7 @@ def _texts(formula: Any, count: int) -> tuple[Any, ...]:
 
 
 def _checked_function(p: ca.SX, arguments: list[ca.SX], value: ca.SX) -> ca.Function:
-    """The function (parameters, *arguments) -> value, if it can be that of a surface."""
+    """The function (parameters, *arguments) -> value, checked to be usable for a surface."""
     inputs = ca.vertcat(p, *arguments)
     unknown = [symbol.name() for symbol in ca.symvar(value) if not ca.depends_on(inputs, symbol)]
     if unknown:
@@ -137,7 +137,7 @@ def _named(parameters: Any, letters: str) -> dict[str, float]:
 def _renumbered(
     formula: Formula, numbers: dict[str, float], letters: str, arguments: list[ca.SX], count: int
 ) -> Formula:
-    """Return the formula with other values; raise if it is one of another kind of surface."""
+    """Return the formula with other values; raise if it is not for this kind of surface."""
     function = formula.function()
     if (function.n_in(), function.numel_out(0)) != (1 + len(arguments), count):
         raise SurfaceError(

@@ -89,8 +89,8 @@ CHARTS: dict[str, type[Chart]] = {
     "+-0": HyperbolicCylinderChart,
     "+00": OffsetPlaneChart,
 }
-"""By the signs of the eigenvalues; ellipsoids and equal axes have other charts."""
-IN_TWO = (TwoSheetChart, HyperbolicCylinderChart, OffsetPlaneChart)
+"""Charts by the signs of the eigenvalues; ellipsoids and round cylinders have others."""
+TWO_PIECES = (TwoSheetChart, HyperbolicCylinderChart, OffsetPlaneChart)
 """Charts of surfaces in two pieces; each covers one of them."""
 
 
@@ -100,9 +100,9 @@ class Quadric(Surface):
 
     An ellipsoid in any orientation (charts of `Ellipsoid`), hyperboloids of one and two sheets,
     elliptic and hyperbolic cylinders, a pair of planes. The chart, which ``help(surface.chart)``
-    shows, uses the principal axes with their greatest components positive, of equal ones the first
-    (the third axis is reversed if they would be left-handed). Where A is not diagonal, rounding
-    chooses the directions of equal axes. The body is where x^T A x < 1.
+    shows, uses the principal axes. Each points so that its greatest component, of equal ones the
+    first, is positive; the third is reversed if they would be left-handed. Where A is not diagonal,
+    rounding chooses the directions of equal axes. The body is where x^T A x < 1.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class Quadric(Surface):
         if self.sheet not in (1, -1):
             raise SurfaceError(f"Quadric: sheet = {self.sheet!r} must be 1 or -1")
         store(self, sheet=int(self.sheet))
-        if self.chart not in IN_TWO and self.sheet == -1:
+        if self.chart not in TWO_PIECES and self.sheet == -1:
             raise SurfaceError(
                 "Quadric: sheet = -1, but this surface is in one piece "
                 f"({self.chart.__name__}); leave sheet out"
@@ -154,7 +154,7 @@ class Quadric(Surface):
 
     @kept
     def parameters(self) -> tuple[float, ...]:
-        """Three numbers of the chart (padded), nine of the rotation by rows, three eigenvalues."""
+        """Three numbers of the chart (padded by 1), nine of the rotation by rows, eigenvalues."""
         _, numbers, values, rotation = self._principal
         return (*(*numbers, 1.0, 1.0)[:3], *rotation.ravel().tolist(), *values)
 
@@ -197,7 +197,7 @@ def _principal_chart(matrix: Array) -> tuple[type[Chart], Floats, Floats, Array]
     diagonal = np.diag(matrix)
     given = not np.any(matrix - np.diag(diagonal))  # exactly
     values, vectors = (diagonal, np.eye(3)) if given else np.linalg.eigh(matrix)
-    # eigh chooses signs by rounding; of components that are equal but for it the first one counts
+    # rounding decides eigh's signs: make the greatest component, of near equals the first, positive
     greatest = np.abs(vectors).round(6).argmax(axis=0)
     vectors = vectors * np.sign(vectors[greatest, range(3)])
     scale = np.max(np.abs(values))

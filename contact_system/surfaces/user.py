@@ -24,8 +24,8 @@ from .charts import TURN, Chart, Frame, Pair, Periods, hypot
 from .formula import Formula, make_formula
 from .sphere import PolarChart
 
-CELLS = 32  # in each coordinate, of the grid on which the search for a nearest point starts
-TRIES = 4  # points of that grid from which the search may start
+CELLS = 32  # in each coordinate of the grid from whose points the search for a nearest point starts
+TRIES = 4  # most points of that grid from which the search starts, the nearest first
 NEAR = 1e-9  # of the size: distance within which points are the same
 FARTHEST = 2.0**40  # sizes from the centre in which the engine looks for the surface
 
@@ -46,11 +46,11 @@ class CentralChart(Chart):
 class UserSurface(Surface):
     """Base class of surfaces given by a formula."""
 
-    reach: ClassVar[float] = 2.0  # the surface may have bumps anywhere
+    reach: ClassVar[float] = 2.0  # short panels, as the surface may have bumps anywhere
     formula: Formula
     size: float = field(default=1.0, kw_only=True)
 
-    def _write(
+    def _store(
         self, letters: str, definition: Any, formula: Any, parameters: Any, size: Any, inside: Any
     ) -> None:
         """Check and store the arguments that both kinds share; ``letters``: "uv" or "xyz"."""
@@ -145,7 +145,7 @@ class ParametricSurface(UserSurface):
         inside: bool = False,
         formula: Formula | None = None,
     ) -> None:
-        self._write("uv", f, formula, parameters, size, inside)
+        self._store("uv", f, formula, parameters, size, inside)
         for name, given, period in (("u", u_range, u_period), ("v", v_range, v_period)):
             if period is not None:
                 what = f"{self._kind}: {name}_period"
@@ -158,7 +158,7 @@ class ParametricSurface(UserSurface):
         self._require_periods()
 
     def _require_periods(self) -> None:
-        """Raise if points one period apart differ: contacts would be moved."""
+        """Raise if points one period apart differ: wrapping coordinates would move contacts."""
         places = np.array([0.1, 0.4, 0.8])
         u, v = (low + (high - low) * places for low, high in (self.u_range, self.v_range))
         for name, period in (("u", self.u_period), ("v", self.v_period)):
@@ -178,7 +178,7 @@ class ParametricSurface(UserSurface):
                 )
 
     def _scale(self, points: Array) -> Array:
-        """Reference lengths for `NEAR` at points (..., 3), whose coordinates are rounded."""
+        """Lengths of which `NEAR` is a fraction at points (..., 3); far ones are rounded more."""
         return np.fmax(self.size, np.linalg.norm(points, axis=-1))
 
     @property
@@ -315,13 +315,13 @@ class ImplicitSurface(UserSurface):
         ``"x**2/a**2 + y**2 + z**4 - 1"``. Negative inside the body.
     center : three floats
         A point inside the body (with ``inside=True``, in the hollow) from which the whole surface
-        is visible, m. Where it is not visible, chart components are refused.
+        is visible, m. Where the surface is not visible, chart components are refused.
     parameters : mapping of str to float
         As for `ParametricSurface`; so are size, m, and formula.
     size : float
     formula : Formula, optional
     inside : bool
-        The body is where F > 0; v is then the azimuth the other way around.
+        The body is where F > 0; v is then the azimuth with the opposite sign.
 
     Raises
     ------
@@ -354,7 +354,7 @@ class ImplicitSurface(UserSurface):
         inside: bool = False,
         formula: Formula | None = None,
     ) -> None:
-        self._write("xyz", F, formula, parameters, size, inside)
+        self._store("xyz", F, formula, parameters, size, inside)
         point = finite_numbers(center, f"{self._kind}: center", SurfaceError)
         if len(point) != 3:
             raise SurfaceError(f"{self._kind}: center = {center!r}: give 3 numbers")
@@ -382,11 +382,11 @@ class ImplicitSurface(UserSurface):
         d_u = ca.vertcat(ray[0] * ray[2] / s, ray[1] * ray[2] / s, -s) / rho
         d_v = ca.vertcat(-ray[1], ray[0], 0) / rho
         gradient = ca.gradient(self._level(p, x), x)
-        # no frame where the point is not visible from the centre: f_u x f_v would point inward
+        # 0, hence no frame, where the centre does not see the point: f_u x f_v would point inward
         along = ca.fmax(ca.dot(gradient, direction), 0)
 
         def tangent(d: ca.SX) -> ca.SX:
-            """f_u from the ray's d_u: rho d_u, and along the ray what makes grad F . f_u = 0."""
+            """f_u = rho d_u plus a part along the ray that makes it tangent: grad F . f_u = 0."""
             return rho * (d - ca.dot(gradient, d) / along * direction)
 
         return tangent(d_u), tangent(side * d_v)
@@ -395,7 +395,7 @@ class ImplicitSurface(UserSurface):
         return self.formula(p[3:], x)
 
     def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return those of F over its steepest slope: |grad F|^2 may be too large for a double."""
+        """Return those of F / max_i |dF/dx_i|, as |grad F|^2 may be too large for a double."""
         level, gradient, hessian = super().level_geometry(p, x)
         scale = 1 / ca.norm_inf(gradient)
         return scale * level, scale * gradient, scale * hessian
@@ -430,7 +430,7 @@ class ImplicitSurface(UserSurface):
         return (np.array(self.center) + (t * ray).T).reshape((*u.shape, 3))
 
     def is_flat(self, u: float, v: float) -> bool:
-        """Whether the gradient of F vanishes at (u, v): along the ray it does not just before."""
+        """Whether grad F vanishes at (u, v): F's slope along the ray drops to 0 there."""
         x = self.point(u, v)
         ray = x - self.center
         places = np.array([[*x, *ray], [*(x - 1e-4 * ray), *ray]]).T
@@ -438,7 +438,7 @@ class ImplicitSurface(UserSurface):
         return bool(abs(slope) < 1e-3 * abs(before))
 
     def _refuse(self, u: Array, v: Array, t: Array) -> NoReturn:
-        """Raise for the first ray that leaves the body at no distance t.
+        """Raise for the first ray without a distance t at which it leaves the body.
 
         t is 0 where the centre is not inside, infinite where a ray stays inside, NaN where the
         level function is too steep or not a number.
@@ -467,7 +467,7 @@ class ImplicitSurface(UserSurface):
 
 
 def _into(w: Any, span: tuple[float, float], period: float | None) -> Any:
-    """Return a coordinate; a periodic one outside its range is moved by whole periods into it."""
+    """Return a coordinate; if it is periodic and out of range, move it in by whole periods."""
     if period is None:
         return w
     return w - period * np.floor((w - span[0]) / period) * ((w < span[0]) | (w > span[1]))
