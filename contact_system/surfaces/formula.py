@@ -20,7 +20,7 @@ from ..checks import finite_number, of_kind, one_of
 from ..errors import SurfaceError
 from ..expressions import FUNCTIONS, parse
 from ..theory import symbols as ca
-from ..theory.symbols import hearing_ctrl_c
+from ..theory.symbols import immediate_ctrl_c
 
 
 @dataclass(frozen=True, repr=False)
@@ -154,7 +154,7 @@ def _trace(
 ) -> ca.SX:
     """Call a user's function on symbols and return its components as one column."""
     try:
-        with warnings.catch_warnings(), hearing_ctrl_c():
+        with warnings.catch_warnings(), immediate_ctrl_c():
             # CasADi warns of a future change of numpy functions of symbols
             warnings.simplefilter("ignore", FutureWarning)
             value = function(*arguments, **symbols)

@@ -11,9 +11,9 @@ No sigma'/sigma, no stiffness, and no coupling between the bodies. Two forms of 
 * in the chart, (u, v, theta), for surfaces given by a chart: [p q] is the contact frame turned by
   theta.
 
-Each form defines the frame (`place`, `turn`, `theta`) and its motion; the base class has what
-follows for both. Every function takes (point, numbers), numbers being the surface's sign and
-parameters.
+Each form has a class that defines the frame (`place`, `turn`, `theta`) and its motion; the base
+class derives the rest. Every function takes (point, numbers): the state with further inputs, and
+the surface's sign and parameters.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ INPUTS = {"motion": 2, "coordinates": 2, "vector": 2, "geodesic": 4}
 
 
 def in_space(surface: Surface, disturbed: bool = False) -> bool:
-    """Whether a body is planned in space, (x, p); else as (u, v, theta).
+    """Whether a body is planned in space, (x, p); if not, in its chart, (u, v, theta).
 
     A disturbance has chart components. On a double cover (triaxial ellipsoid) their sign depends on
-    the path's branch, which only the form in the chart knows.
+    the path's branch, which the state in space does not determine.
     """
     in_chart = surface.chart.developable or (disturbed and surface.chart.double_cover)
     return surface.has_implicit and not in_chart
@@ -47,9 +47,9 @@ class Moving:
     """A frame [p q] carried along a surface, in symbols."""
 
     size: int
-    """Of the state."""
+    """Number of states."""
     place: tuple[ca.SX, ca.SX]
-    """u, v"""
+    """u, v of the point."""
     theta: ca.SX
     turn: ca.SX
     """Rot(theta), (2, 2): rotates the contact frame into [p q]."""
@@ -85,7 +85,7 @@ class Moving:
         return ca.vertcat(self.motion(ca.SX([1, 0])), j_rate, bend * j, m_rate, bend * m)
 
     def motion(self, c: ca.SX) -> ca.SX:
-        """Rates of the state for the velocity c of the point."""
+        """Rates of the state if the point moves with the velocity c in the parallel frame."""
         raise NotImplementedError
 
     def gauss(self) -> ca.SX:
@@ -105,10 +105,10 @@ class InSpace(Moving):
     def __init__(self, surface: Surface):
         super().__init__(surface)
         self.x, self.first = ca.vertsplit(self.state, [0, 3, 6])
-        # the gradient points into a body that is inside
+        # with ``inside`` the gradient points into the body
         self.level, self.gradient, self.hessian = surface.level_geometry(self.numbers[1:], self.x)
         self._steepness = 1 / ca.dot(self.gradient, self.gradient)
-        # grad F x p, and the factor that makes it q = n x p
+        # grad F x p, and the factor, sign/|grad F|, that makes it q = n x p
         self._across = ca.cross(self.gradient, self.first)
         self._scale = self.numbers[0] * ca.sqrt(self._steepness)
         self.place = surface.coordinates_expr(self.numbers, self.x)
@@ -127,7 +127,7 @@ class InSpace(Moving):
     def motion(self, c: ca.SX) -> ca.SX:
         """x' = c1 p + c2 q, p' = -II(p, x') n."""
         velocity = c[0] * self.first + (c[1] * self._scale) * self._across
-        # the signs of n and II cancel
+        # n and II both change sign with the side, so p' needs no sign
         bend = ca.dot(self.hessian @ self.first, velocity) * self._steepness
         return ca.vertcat(velocity, -bend * self.gradient)
 
@@ -148,7 +148,7 @@ class InSpace(Moving):
 
         One Newton step along the gradient squares the distance from the surface.
         """
-        # the gradient at x, not on the surface: so a step from any distance ends on the same side
+        # the gradient is that at x: with one on the surface a step from afar ends on the other side
         moved = self.x - self.level * self._steepness * self.gradient
         normal = ca.substitute(self.gradient, self.x, moved)
         normal /= ca.norm_2(normal)

@@ -37,7 +37,7 @@ from .symbols import making_symbols
 
 
 def reflection_rows(cos_psi: Any, sin_psi: Any) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
-    """Rows of R_psi (eq. ``rotation``), of symbols, numbers or arrays; its own inverse."""
+    """Rows of R_psi (eq. ``rotation``), its own inverse, from symbols, numbers or arrays."""
     return (cos_psi, -sin_psi), (-sin_psi, -cos_psi)
 
 
@@ -47,7 +47,7 @@ def reflection(cos_psi: ca.SX, sin_psi: ca.SX) -> ca.SX:
 
 
 def flip() -> ca.SX:
-    """R_0 between the moving frames of finger and object."""
+    """R_0, which is R_psi for psi = 0: the map between the moving frames of finger and object."""
     return reflection(ca.SX(1), ca.SX(0))
 
 
@@ -89,13 +89,13 @@ def _transport(shape: ChartGeometry, along: ca.SX, vector: ca.SX) -> ca.SX:
 
 
 def starting_slip(w1: ca.SX, w2: ca.SX, velocity: ca.SX) -> ca.SX:
-    """V = W_2 minus the path velocity of the object; exactly 0 if that is rounding."""
+    """V = W_2 minus the path velocity of the object; exactly 0 where it may be rounding."""
     v, rounding = w2 - velocity, 1e-15 * ca.fmax(ca.fmax(ca.fabs(w1[0]), ca.fabs(w1[1])), 1e-300)
     return ca.if_else(ca.fabs(v) <= rounding, 0, v)
 
 
 def pushed_paths(sigma: ca.SX, r0: ca.SX, pushed_1: ca.SX, pushed_2: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Rates of W_1 and V by accelerations, without -lam V (theory section 7), (2) each.
+    """W_1' and V' due to accelerations, without the term -lam V (theory section 7), (2) each.
 
     pushed_i: Rot(theta)^T M d, the accelerations in the parallel frames, m/s^2.
     """
@@ -158,10 +158,10 @@ def relative_twist(
 def contact_velocities(
     shape_1: ca.SX, shape_2: ca.SX, r: ca.SX, bend: ca.SX, v_rel: ca.SX
 ) -> tuple[ca.SX, ca.SX]:
-    """Montana's forward map: the contact velocities a_i = M_i q_i' in E_i from what a twist says.
+    """Montana's forward map from a twist to the contact velocities a_i = M_i q_i' in E_i, m/s.
 
-    shape_i: K_i (2, 2); r: R_psi; bend: ``K_1 a_1 + R_psi K_2 a_2 = [-omega_y, omega_x]`` in E1,
-    rad/s; v_rel: slip in E2, m/s. Not finite where the bodies conform.
+    shape_i: K_i (2, 2); r: R_psi; bend: [-omega_y, omega_x] in E1, rad/s, which is equal to
+    ``K_1 a_1 + R_psi K_2 a_2``; v_rel: slip in E2, m/s. Not finite where the bodies conform.
     """
     a1 = solve_plane(relative_curvature(shape_1, shape_2, r), bend + r @ shape_2 @ v_rel)
     return a1, r @ a1 - v_rel
@@ -170,7 +170,7 @@ def contact_velocities(
 def relative_curvature(shape_1: Any, shape_2: Any, r: Any) -> Any:
     """K_1 + R_psi K_2 R_psi in E1, 1/m; singular where the surfaces conform to each other.
 
-    Of symbols, or of arrays (..., 2, 2).
+    The arguments are symbols, or arrays (..., 2, 2).
     """
     return shape_1 + r @ shape_2 @ r
 
@@ -187,7 +187,7 @@ def solve_plane(a: ca.SX, b: ca.SX) -> ca.SX:
 def contact_functions() -> dict[str, ca.Function]:
     """The functions (point, constants) that do not depend on surfaces, in the engine's order.
 
-    R0, row by row, is the constant of those that need it.
+    The constants are those of R0, row by row, or none.
     """
     sym = ca.SX.sym
     with making_symbols():

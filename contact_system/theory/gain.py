@@ -38,7 +38,7 @@ class Law:
 
     The integral of lam is a polynomial, plus a logarithm where sigma grows. Slip shrinks while
     sigma'/sigma - lam < 0. Without `makes_up` this holds throughout for every value above the
-    greatest sigma'/sigma^(power + 1), with it for every positive value.
+    greatest sigma'/sigma^(power + 1); with `makes_up` it holds for every positive value.
     """
 
     parameter: str
@@ -74,7 +74,7 @@ LAWS = {
     "time": Law("eta", "lam = eta", 0),
     "guaranteed": Law("rho", "lam = max(0, sigma'/sigma) + rho", 0, makes_up=True),
 }
-"""The gain laws by name: the paper's, the one of its reported times, and one for any sigma."""
+"""The gain laws: the paper's; the one that gives its reported times; one that suits any sigma."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Gain:
     """Gain law lam(t) [1/s], which steers the object's curve towards rolling.
 
     Use the constructors `Gain.path`, `Gain.time`, `Gain.guaranteed`. The paper prints the first
-    (eq. `contrac`); its reported recovery times are those of the second.
+    (eq. `contrac`), but the recovery times that it reports are those of the second.
 
     Attributes
     ----------
@@ -187,7 +187,7 @@ class Contraction:
         True if slip shrinks over the whole horizon.
     least_eta : float
         Slip shrinks over the whole horizon for every gain above this one, in the unit of
-        `Gain.value`; inf if for none (sigma grows from zero), 0 if for every positive one.
+        `Gain.value`; inf if there is none (sigma grows from zero), 0 if every positive one does.
     growth : tuple of (float, float)
         Time at which slip is greatest [s], and its value there as a multiple of that at t = 0.
         (0, nan) if sigma(0) = 0, as slip then starts at zero.
@@ -267,12 +267,12 @@ def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[flo
     intervals: list[tuple[float, float]] = []
     knots = profile.knots(0.0, duration)
     for start, stop in zip(knots, knots[1:]):
-        # expanded about its middle, where cancellation is least
+        # expand polynomials about the interval's middle, where cancellation is least
         middle = 0.5 * (start + stop)
         c, law = profile.shifted(middle), gain.row
-        # with rho = 0 the law only makes up for growth
-        lost = () if law.makes_up else exact_product((-gain.value,), *[c] * (law.power + 1))
-        rate = rounded(exact_product(derivative(c)), lost)
+        # a law that makes up for growth is here only with rho = 0: slip shrinks where sigma' < 0
+        loss = () if law.makes_up else exact_product((-gain.value,), *[c] * (law.power + 1))
+        rate = rounded(exact_product(derivative(c)), loss)
         ends = start - middle, stop - middle
         turns = [middle + tau for tau in sign_changes(rate, *ends)]
         for a, b in zip([start, *turns], [*turns, stop]):

@@ -1,15 +1,15 @@
 """Write the engine's generated files: ``python -m contact_system.theory.generate``.
 
 operations.inc
-    What instructions mean, for the interpreter.
+    The C code of each operation, for the interpreter.
 tables.inc
     The tables of the bundled surfaces and of contacts.
 twins.inc
-    Those that most of the time goes to, as C that compilers turn into SIMD code.
+    The tables that take most of the time, as C functions that compilers turn into SIMD code.
 gauss.inc
     Matrices of Gauss collocation.
 dop853.inc
-    Coefficients of the method of `engine/geodesic.c`, scipy's.
+    scipy's coefficients of the method of Dormand and Prince, for `engine/geodesic.c`.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Writer:
         return self._names[key]
 
     def table(self, table: Table, hot: bool) -> list[Any]:
-        """Return the fields of a table_t; a hot one has a twin if it is simple enough."""
+        """Return the fields of a table_t; a hot table gets a twin if it is simple enough."""
         code = [self._named("code_t {}[]", "code", words.tolist()) for words in table.words]
         literals, text = table.numbers.tolist(), table.c_text() if hot else None
         named = self._named("double {}[]", "literals", literals) if literals else None
@@ -159,7 +159,7 @@ def gauss_arrays() -> dict[str, Any]:
 
 
 def dop853_arrays() -> dict[str, Any]:
-    """Return the stages, the result, and two estimates of its error."""
+    """Return the coefficients of the stages, of the result, and of two estimates of its error."""
     from scipy.integrate._ivp import dop853_coefficients as dop853
 
     n = dop853.N_STAGES

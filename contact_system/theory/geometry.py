@@ -78,7 +78,7 @@ def contact_frame(f_u: ca.SX, f_v: ca.SX, orthogonal: bool = False) -> tuple[ca.
         h_v = ca.norm_2(f_v)
         return x, f_v / h_v, ca.diag(ca.vertcat(h_u, h_v))
     along = ca.dot(x, f_v)
-    # y from f_v with its x part removed: the same vector as n cross x, and no cross products.
+    # y is f_v without its x part, normalised: the same vector as n cross x without cross products.
     across = f_v - along * x
     h_across = ca.norm_2(across)
     metric_root = ca.vertcat(ca.horzcat(h_u, along), ca.horzcat(0, h_across))
@@ -108,10 +108,10 @@ def tangent_geometry(
     # Gamma^k_ij = g^kl f_l.f_ij; with g = M^T M this is M^-1 [x y]^T f_ij, no metric inverse.
     gamma_v = along_y / m[1, 1]
     gamma_u = (along_x - m[0, 1] * gamma_v) / m[0, 0]
-    # n_i.f_j = -n.f_ij (differentiate n.f_j = 0), so K needs no derivative of the normal.
+    # Differentiating n.f_j = 0 gives n_i.f_j = -n.f_ij, so K needs no derivative of the normal.
     m_inv = upper_inverse(m)
     curvature = -m_inv.T @ along_n @ m_inv
-    # y.x_i = y.f_ui/h_u, the rest of x_i being along x.
+    # y.x_i = y.f_ui/h_u, as the rest of x_i is along x.
     torsion = along_y[0, :] / m[0, 0] @ m_inv
     return ChartGeometry(
         point=point,

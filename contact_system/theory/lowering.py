@@ -5,7 +5,7 @@ A table is a straight-line program on registers of 16 lanes, made from a CasADi 
 of the prologue, results, temporaries. The prologue computes what depends on constants alone, once
 for each surface; the body computes the rest, at every point.
 
-Equal values are computed once. A division by a constant, or one of several by the same number,
+Equal values are computed once. A division by a constant, or by a number that divides several times,
 becomes a multiplication by the inverse, which is much faster.
 """
 
@@ -38,7 +38,7 @@ class Operation(NamedTuple):
     name: str
     """As in CasADi's OP_..."""
     c: str
-    """C expression of the operands A and B; of kind "SINCOS" s, the sine, or c, the cosine."""
+    """C expression of the operands A and B; for kind "SINCOS" s, the sine, or c, the cosine."""
     partials: tuple[str, ...]
     """C expressions of the derivatives by each operand."""
     kind: str = "SIMPLE"
@@ -94,7 +94,7 @@ OPERATIONS = (
     Operation("POW", "pow(A, B)", _POWER, "CALL"),
     Operation("FMOD", "fmod(A, B)", ("1.0", "-trunc(A / B)"), "CALL"),
 )
-"""In the order of their codes in tables, which begin at 1; 0 ends a program."""
+"""The operations in the order of their codes in tables, from 1 on; code 0 ends a program."""
 
 CODES = {row.name: code for code, row in enumerate(OPERATIONS, start=1)}
 
@@ -139,7 +139,7 @@ def replay(
 
 
 def _no_operation(op: int) -> ContactSystemError:
-    """The error of a CasADi operation that tables do not have."""
+    """The error for an operation of CasADi that tables do not have."""
     import casadi
 
     known = vars(casadi)
@@ -203,7 +203,7 @@ class _Values:
         return self.put(name, *operands)
 
     def _divide(self) -> None:
-        """Undo inverses that are used once: a division rounds once less."""
+        """Turn products with inverses that are used only once into divisions: they round less."""
         rows = self.rows
         uses = Counter(j for row in rows if row[0] not in LEAVES for j in row[1:])
         uses.update(self.results)
@@ -226,10 +226,10 @@ class _Values:
 
 
 class Table(TableData):
-    """A program of instructions, made from (point, constants) -> result.
+    """A program of instructions, made from the function (point, constants) -> result.
 
-    words: the instructions of prologue and body, (n, 4) uint16 each, rows of op, to, a, b, of which
-    the last is all 0; numbers: the literals, (n_lit,).
+    words: the instructions of prologue and body, (n, 4) uint16 each; a row is op, to, a, b, and the
+    last row is all 0. numbers: the literals, (n_lit,).
     """
 
     def __init__(self, function: ca.Function):
@@ -274,9 +274,9 @@ class Table(TableData):
         return [getattr(self, field[0]) for field in TableData._fields_[:7]]
 
     def c_text(self) -> str | None:
-        """C text that does the same to registers r as the body; None if it calls functions.
+        """C code that does the same to registers r as the body; None if the body calls functions.
 
-        It is a loop over the lanes that keeps values in the processor's registers. The operations
+        It is a loop over the lanes that keeps values in the processor's registers. Its operations
         are those of the table, so that both give the same bits.
         """
         literals = range(self.first_lit, self.first_lit + self.n_lit)
@@ -323,7 +323,7 @@ class SurfaceTables:
 
     @kept
     def chart(self) -> tuple[Table | None, ...]:
-        """State u, v, theta: `development.IN_CHART`, for surfaces that may be planned so."""
+        """State u, v, theta: `development.IN_CHART`, for surfaces that may need this form."""
         wanted = self.surface.chart.double_cover or not in_space(self.surface)
         return self._moving(wanted, False, IN_CHART)
 
@@ -362,7 +362,7 @@ class SurfaceTables:
         return self._made(6, along)
 
     def _made(self, size: int, result: Callable[[ca.SX, ca.SX], ca.SX]) -> Table:
-        """The table of the result of numbers and a point, a column of this size."""
+        """The table of ``result(numbers, point)``, where the point is a column of this size."""
         with making_symbols():
             numbers, point = number_symbols(self.surface), ca.SX.sym("point", size)
             return Table(numbers_function("table", point, numbers, result(numbers, point)))
@@ -371,4 +371,4 @@ class SurfaceTables:
 @per_structure
 def lowered(surface: Surface) -> SurfaceTables:
     """The tables of a surface that has none in the engine, such as a user's."""
-    return SurfaceTables(copy.copy(surface))  # a copy, as the surface itself holds the tables
+    return SurfaceTables(copy.copy(surface))  # a copy: surface and tables would form a cycle

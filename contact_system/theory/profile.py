@@ -30,7 +30,7 @@ Exact = tuple[Fraction, ...]
 Numbers = Sequence[float] | np.ndarray
 """A few numbers as users give them; they are stored as a tuple of floats."""
 
-CANCELLED = 1e5  # allowed ratio of sigma's terms to sigma: it keeps 11 digits, int lam 6
+CANCELLED = 1e5  # greatest ratio of sigma's terms to sigma: sigma keeps 11 digits, int lam 6
 
 
 # --- polynomials -------------------------------------------------------------------------------
@@ -48,7 +48,7 @@ def polynomial(coefficients: Sequence, t):
 
 
 def clear_value(coefficients: Sequence[float], t: float) -> float:
-    """The value at t, or 0 if it may be rounding, of the coefficients included."""
+    """The value at t, or 0 if it may be due to rounding, including that of the coefficients."""
     value = polynomial(coefficients, t)
     terms = polynomial([*map(abs, coefficients)], abs(t)) if t else 0.0
     return value if abs(value) > 4e-16 * len(coefficients) * terms else 0.0
@@ -159,7 +159,7 @@ class Profile:
             Naming the time, the value and the remedy.
         """
         c, duration = self.coefficients, finite_number(duration, "duration")
-        if min(c) >= 0 and 0 < polynomial(c, duration) < LARGEST:  # no sum of them is negative
+        if min(c) >= 0 and 0 < polynomial(c, duration) < LARGEST:  # then sigma >= 0 everywhere
             return
         if not any(c):
             raise SceneError(

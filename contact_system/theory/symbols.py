@@ -27,53 +27,53 @@ if hasattr(os, "register_at_fork"):  # so that a child's table is consistent; no
     )
 
 
-class _CtrlC:
-    """Handler that defers SIGINT: CasADi may lose an exception raised inside it."""
+class _DeferredCtrlC:
+    """Handler that only notes SIGINT: CasADi may lose an exception that is raised inside it."""
 
     def __init__(self, usual: Callable[..., Any]):
-        self.usual, self.came = usual, False
+        self.usual, self.pending = usual, False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        self.came = True
+        self.pending = True
 
 
 @contextmanager
 def making_symbols() -> Iterator[None]:
-    """Hold this while CasADi is loaded, or expressions of symbols are made or deleted.
+    """Hold this lock while CasADi is loaded, or expressions of symbols are made or deleted.
 
-    One thread at a time can hold it; forks of the process and Ctrl-C wait for its end.
+    One thread at a time can hold it; forks of the process and Ctrl-C wait until it is released.
     """
     with _LOCK:
-        here = threading.current_thread() is threading.main_thread()
-        usual = signal.getsignal(signal.SIGINT) if here else None
-        if not callable(usual) or isinstance(usual, _CtrlC):
+        is_main = threading.current_thread() is threading.main_thread()
+        usual = signal.getsignal(signal.SIGINT) if is_main else None
+        if not callable(usual) or isinstance(usual, _DeferredCtrlC):
             yield
             return
-        kept = _CtrlC(usual)
-        signal.signal(signal.SIGINT, kept)
+        deferred = _DeferredCtrlC(usual)
+        signal.signal(signal.SIGINT, deferred)
         try:
             yield
         finally:
             signal.signal(signal.SIGINT, usual)
-            if kept.came:
+            if deferred.pending:
                 usual(signal.SIGINT, None)
 
 
 @contextmanager
-def hearing_ctrl_c() -> Iterator[None]:
+def immediate_ctrl_c() -> Iterator[None]:
     """Inside `making_symbols`, let Ctrl-C stop a user's function, which may never end."""
-    kept = signal.getsignal(signal.SIGINT)
-    if not isinstance(kept, _CtrlC):
+    deferred = signal.getsignal(signal.SIGINT)
+    if not isinstance(deferred, _DeferredCtrlC):
         yield
         return
-    signal.signal(signal.SIGINT, kept.usual)
+    signal.signal(signal.SIGINT, deferred.usual)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, kept)
+        signal.signal(signal.SIGINT, deferred)
 
 
-MOST_KEPT = 64  # cached results of each function
+MOST_CACHED = 64  # results of each function
 
 
 def __getattr__(name: str) -> Any:
@@ -87,16 +87,16 @@ def __getattr__(name: str) -> Any:
 
 
 def per_structure(build: Callable[..., Any]) -> Callable[..., Any]:
-    """Cache a function of surfaces that makes symbols, by the surfaces' structures and sides."""
-    made: dict[tuple[Any, ...], Any] = {}  # the least recently used first
+    """Cache a function of surfaces that makes symbols; its keys are their structures and sides."""
+    results: dict[tuple[Any, ...], Any] = {}  # the least recently used first
 
     @functools.wraps(build)
-    def kept(*given: Any) -> Any:
+    def cached(*given: Any) -> Any:
         key = tuple((a.structure, a.inside) if hasattr(a, "structure") else a for a in given)
         with making_symbols():
-            made[key] = made.pop(key) if key in made else build(*given)
-            if len(made) > MOST_KEPT:
-                del made[next(iter(made))]
-            return made[key]
+            results[key] = results.pop(key) if key in results else build(*given)
+            if len(results) > MOST_CACHED:
+                del results[next(iter(results))]
+            return results[key]
 
-    return kept
+    return cached
