@@ -1,1 +1,1 @@
-"""Behind contact_system.plan: starts of contacts, their motion, its explanation, saved plans."""
+"""Parts of contact_system.plan: starts of contacts, their motion, its explanation, saved plans."""

@@ -17,18 +17,18 @@ from ..checks import within
 from ..errors import ContactSystemError, SceneError
 from ..scene import Scene, Start
 from ..system import SceneSystem, SystemMachine, without_chart
-from .explanation import passed
+from .explanation import singular_path
 from .motion import SHAPES
 
-PARTS, ROUNDS = 16, 10  # parts of a solver's step, then of these: frames are compared at their ends
-ALIKE = 0.7  # cosine of the angle by which a frame may turn in a part
+PARTS, ROUNDS = 16, 10  # parts of a solver's step; rounds in which parts are divided again
+ALIKE = 0.7  # least cosine of the angle by which a frame turns in a part that is not divided again
 OUTPUTS = {
     "states": "state",
     "points": "contact_point",
     "slip_speed": "slip",
     "acceleration": "slip_acceleration",
 }
-"""The outputs of `SceneSystem` for results with other names."""
+"""The outputs of `SceneSystem` from which results of other names follow."""
 
 
 class ChartMotion:
@@ -60,7 +60,7 @@ class ChartMotion:
     ) -> dict[str, np.ndarray] | None:
         """Results, (n_times, n_contacts, ...); None if a time is outside the plan.
 
-        Paths end before singular points, so there are no ``gaps``.
+        ``gaps`` does nothing: paths through singular points are refused.
         """
         if not ((t >= self._begin) & (t <= self._end)).all():
             return None
@@ -144,7 +144,7 @@ class ChartContact:
         """Refuse a path through a singular point of a chart, where the contact frame turns over.
 
         A solver does not notice a pole that a path crosses along a meridian: the equations are
-        smooth there. The search narrows where the frame turns far.
+        smooth there. Steps in which the frame turns far are divided: across a pole it still does.
         """
         scene, ends = self._system.scene, self._solution.ts
         for side, surface in enumerate((scene.contacts[0].finger, scene.object)):
@@ -160,7 +160,7 @@ class ChartContact:
                 low, high = t[k, interval], t[k + 1, interval]
             if len(low):
                 u, v = self._solution(low[0])[4 * side : 4 * side + 2].tolist()
-                raise passed(self._where, surface, (u, v))
+                raise singular_path(self._where, surface, (u, v))
 
     def result(self, name: str, t: np.ndarray) -> np.ndarray:
         """A result of a plan for this contact: (n_times, ...)."""

@@ -1,4 +1,4 @@
-"""What the engine did, in words: the lines of ``Plan.explain()``, and why it failed."""
+"""What the engine did, in words: the lines of ``Plan.explain()``, and errors if it failed."""
 
 from __future__ import annotations
 
@@ -93,15 +93,15 @@ def _reason(scene: Scene, contact: int, f: Fact) -> str:
 
 
 def _rests(scene: Scene, contact: int, f: Fact) -> bool:
-    """Whether a contact has reached the end of its legs."""
+    """Whether the interval is after the contact's last leg."""
     last = scene.way(contact)[-1]
     return last.profile == STILL and f.start >= last.start
 
 
 def _disturbances(scene: Scene, contact: int, f: Fact) -> str:
-    """The kinds that act on a body, in the order of `DISTURBANCE_KINDS`.
+    """The kinds of disturbances that change a body's path, in the order of `DISTURBANCE_KINDS`.
 
-    An object is disturbed by what acts on the finger too.
+    Those of the finger change the object's path too.
     """
     acting = {
         type(d)
@@ -147,7 +147,7 @@ def failed(scene: Scene, failure: Failure) -> Exception:
             "its velocity, sigma or the duration"
         )
     if failure.code == SINGULAR_CHART:
-        return passed(name, surface, (failure.u, failure.v))
+        return singular_path(name, surface, (failure.u, failure.v))
     if failure.code == SINGULAR_TIME:
         return ChartSingularity(
             f"{name}: {surface!r}: at t = {failure.t:.17g} s the contact is at a singular point of "
@@ -160,17 +160,17 @@ def failed(scene: Scene, failure: Failure) -> Exception:
 
 
 def _ended_early(scene: Scene, failure: Failure, surface: Surface) -> str:
-    """Where and why a motion does not get on, and what to do."""
+    """Where and why a motion ended early, and what to do."""
     where = f"{failure.t:.9g}"
     reached = f"arc length {where} m" if failure.by_length else f"t = {where} s"
     why, at_rest = _singular(surface, (failure.u, failure.v)), _accelerated_at_rest(scene, failure)
     if failure.code == STUCK and not why:
         why = at_rest or (
-            "the path reaches a singular point of its chart or its surface, or it is so fast, or "
-            "so far from the body's origin, or terms of its formula cancel so far, as on thin "
-            "bodies with turned axes, that rounding exceeds the tolerance; start elsewhere, change "
-            "the direction, end the scene before, give a greater tolerance, or write the formula "
-            "in the body's principal axes (or as a Quadric)"
+            "the path reaches a singular point of its chart or its surface, or rounding exceeds "
+            "the tolerance, as on a fast path, far from the body's origin, or where terms of its "
+            "formula cancel (thin bodies with turned axes); start elsewhere, change the direction, "
+            "end the scene before, give a greater tolerance, or write the formula in the body's "
+            "principal axes (or as a Quadric)"
         )
     if why:
         return f"the motion cannot be continued past {reached}: {why}"
@@ -187,8 +187,8 @@ def _ended_early(scene: Scene, failure: Failure, surface: Surface) -> str:
     )
 
 
-def passed(name: str, surface: Surface, place: tuple[float, float]) -> ContactSystemError:
-    """The error of a path through a singular point of its chart."""
+def singular_path(name: str, surface: Surface, place: tuple[float, float]) -> ContactSystemError:
+    """The error for a path through a singular point of its chart."""
     other = "use the default method" if surface.has_implicit else "give an ImplicitSurface"
     return ContactSystemError(
         f"{name}: the path goes through a singular point of its chart, {surface!r} at (u, v) = "
@@ -198,7 +198,7 @@ def passed(name: str, surface: Surface, place: tuple[float, float]) -> ContactSy
 
 
 def _singular(surface: Surface, place: tuple[float, float]) -> str:
-    """Why no motion goes on at (u, v), and what to do; empty if nothing is singular there."""
+    """What is singular at (u, v), and what to do; empty if nothing is."""
     try:
         surface.canonical(*place)
         if isinstance(surface, ImplicitSurface) and surface.is_flat(*place):
@@ -215,7 +215,7 @@ def _singular(surface: Surface, place: tuple[float, float]) -> str:
 
 
 def _accelerated_at_rest(scene: Scene, failure: Failure) -> str:
-    """What to do about an acceleration where the path almost rests; empty elsewhere."""
+    """What to do if an acceleration acts where the path almost rests; empty if not."""
     sigma, way = failure.value, scene.way(failure.contact)
     greatest = max(abs(c) for leg in way for c in leg.profile.coefficients)
     if not failure.pushed or sigma > ALMOST_RESTS * greatest:
@@ -227,7 +227,7 @@ def _accelerated_at_rest(scene: Scene, failure: Failure) -> str:
 
 
 def _far_away(surface: Surface, at: Sequence[float]) -> str:
-    """What to do where a body is far from its origin, and rounded positions rough for its size."""
+    """What to do if rounding is large for the body's size, far from its origin; empty if not."""
     distance = math.hypot(*surface.point(*at))
     rounding = EPS * distance / surface.size
     if rounding < 1e-12:  # the default tolerance

@@ -46,25 +46,25 @@ SHAPES: dict[str, tuple[int, ...]] = {
 }
 """The results of a plan, in the engine's order, with their shapes for one contact at one time."""
 FRAMES = "frames"
-"""A result for steering only: of each body x, p, q, and its curvature form K_pp, K_pq, K_qq."""
+"""A result for steering only: x, p, q of each body, and its curvature form K_pp, K_pq, K_qq."""
 _ALL = {**SHAPES, FRAMES: (2, 12)}
 _SIZES = {name: math.prod(shape) for name, shape in _ALL.items()}
 _PLACES = {name: place for place, name in enumerate(_ALL)}
 _TIMES_FIRST = {name: (len(shape) + 1, *range(len(shape) + 1)) for name, shape in _ALL.items()}
 IN_CONTACT_FRAMES = {"states", "slip", "acceleration", "carried"}
-"""Results that depend on the branch of the charts."""
+"""Results that depend on the branches of the charts, which the engine finds at their first use."""
 
 
 # --- the scene as numbers ------------------------------------------------------------------------
 
 
 class Buffer:
-    """A scene for the engine: its `numbers`, doubles, with `surfaces` given by their index."""
+    """A scene for the engine: `numbers`, doubles in bytes, and `surfaces`, which they index."""
 
     def __init__(self, scene: Scene, tolerance: float, begin: float, starts: Starts | None):
         self.surfaces: list[Surface] = []
-        self._tail: list[float] = []  # what follows header and contacts, from here on
-        self._after = HEADER + CONTACT * len(scene.contacts)
+        self._tail: list[float] = []  # the numbers that follow header and contacts
+        self._tail_index = HEADER + CONTACT * len(scene.contacts)
         self._bodies: dict[int, tuple[float, ...]] = {}
         law, obj = LAWS[scene.gain.law], self._body(scene.object)
         rows = self._rows(scene, begin, starts)
@@ -75,8 +75,8 @@ class Buffer:
         self.numbers = b"".join([head, *rows, struct.pack(f"{len(self._tail)}d", *self._tail)])
 
     def _put(self, numbers: Sequence[float]) -> int:
-        """Add numbers; returns their index."""
-        index = self._after + len(self._tail)
+        """Add numbers to the tail; returns the index of the first in the buffer."""
+        index = self._tail_index + len(self._tail)
         self._tail += numbers
         return index
 
@@ -98,11 +98,11 @@ class Buffer:
         return self._put(numbers), len(way)
 
     def _rows(self, scene: Scene, begin: float, starts: Starts | None) -> list[bytes]:
-        """One row a contact: its finger, start, disturbances and legs."""
-        begins: Sequence[Any] = starts or scene.contacts
-        windows, frames, rows = _windows(scene, begin), _solved_frames(scene, begins), []
+        """One row for each contact: its finger, start, disturbances and legs."""
+        places: Sequence[Any] = starts or scene.contacts
+        windows, frames, rows = _windows(scene, begin), _solved_frames(scene, places), []
         legs: dict[Sequence[Leg], tuple[int, int]] = {}
-        for i, (contact, start) in enumerate(zip(scene.contacts, begins)):
+        for i, (contact, start) in enumerate(zip(scene.contacts, places)):
             own, index = windows.get(i, ()), 0
             if own:
                 index = self._put([x for d in own for x in (d.slot, d.start, d.stop, *d.value)])
@@ -120,7 +120,7 @@ class Buffer:
 
 
 def _windows(scene: Scene, begin: float) -> dict[int, list[Disturbance]]:
-    """Disturbances of each contact that end after the plan begins."""
+    """Disturbances of each contact that end after ``begin``; refuses acceleration at rest."""
     windows: dict[int, list[Disturbance]] = {}
     for d in scene.disturbances:
         if d.stop > begin:
@@ -135,22 +135,22 @@ def _windows(scene: Scene, begin: float) -> dict[int, list[Disturbance]]:
     return windows
 
 
-def _solved_frames(scene: Scene, begins: Sequence[Any]) -> dict[int, list[tuple[float, ...]]]:
-    """(x, p) of finger and object by contact, of surfaces without a chart, where points are solved
-    for; other surfaces have ().
+def _solved_frames(scene: Scene, starts: Sequence[Any]) -> dict[int, list[tuple[float, ...]]]:
+    """By contact, x and p of finger and object on surfaces without a chart, () on others.
 
-    All points of one surface are solved for at once.
+    Points of such a surface are solutions of F = 0 along rays; all of one surface are found at
+    once.
     """
     places: dict[Surface, list[tuple[int, int]]] = {}
     frames: dict[int, list[tuple[float, ...]]] = {}
-    if isinstance(begins[0], Moment):
+    if isinstance(starts[0], Moment):
         return frames
     for i, contact in enumerate(scene.contacts):
         for side, surface in enumerate((contact.finger, scene.object)):
             if not surface.has_chart:
                 places.setdefault(surface, []).append((i, side))
     for surface, where in places.items():
-        uv = np.array([(begins[i].finger_at, begins[i].object_at)[side] for i, side in where])
+        uv = np.array([(starts[i].finger_at, starts[i].object_at)[side] for i, side in where])
         point, frame = surface.point_and_frame(*uv.T)
         for (i, side), found in zip(where, np.hstack([point, frame[..., 0]]).tolist()):
             frames.setdefault(i, [(), ()])[side] = tuple(found)
@@ -163,8 +163,8 @@ def _solved_frames(scene: Scene, begins: Sequence[Any]) -> dict[int, list[tuple[
 class Motion:
     """Contacts planned by the engine: finger and object, interval by interval.
 
-    begin: when the motion begins, s; starts: of the contacts then, by default those of the scene.
-    Raises a ContactSystemError that tells why the scene cannot be planned.
+    begin: when the motion begins, s; starts: how the contacts start then, by default as the scene
+    says. Raises a ContactSystemError that tells why the scene cannot be planned.
     """
 
     _as_parameter_: int | None = None  # the plan's address: ctypes passes it for this object
@@ -190,13 +190,13 @@ class Motion:
     ) -> dict[str, np.ndarray] | None:
         """Results, (n_times, n_contacts, ...), in one pass; None if a time is outside the plan.
 
-        gaps: whether those of contacts at a pole or an umbilic are not finite, and no error.
+        gaps: at a pole or an umbilic return what is not finite instead of raising an error.
         """
         if not IN_CONTACT_FRAMES.isdisjoint(names):
-            self._call(binding.anchor)  # again it changes nothing
+            self._call(binding.anchor)  # does nothing after the first time
         t = np.ascontiguousarray(t)
         count, n = self._count, len(t)
-        # one block: after several large arrays are freed, the system clears pages for the next
+        # one block: freed pages of several large arrays would be cleared by the system for reuse
         block, stop = np.empty(count * n * sum(_SIZES[name] for name in names)), 0
         first, outputs, results = address(block), (ctypes.c_void_p * len(_ALL))(), {}
         for name in names:
@@ -219,7 +219,7 @@ class Motion:
             raise failed(self.scene, failure)
 
     def moments(self, t: float) -> list[Moment]:
-        """Every contact as it is at time t."""
+        """The state of every contact's moving frames at time t."""
         rows = np.empty((self._count, MOMENT))
         self._call(binding.anchor)
         self._call(binding.moments, t, address(rows))

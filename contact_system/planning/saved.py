@@ -1,4 +1,4 @@
-"""Saved plans: their inputs as texts, read back if nothing in the file was changed."""
+"""Saved plans: their inputs as texts, and reading them back unless the file was changed since."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ def texts_of(plan: Plan) -> dict[str, str]:
 
 
 def digest(texts: Iterable[str]) -> str:
-    """Digest of the texts, by which changes of the file are noticed."""
+    """Digest of the texts, which reveals changes of the file."""
     return hashlib.sha256("\0".join(texts).encode()).hexdigest()
 
 
 def inputs_of(archive: ZipFile, source: str) -> dict[str, Any]:
     """The arguments of a saved plan; `source` names its file.
 
-    Raises a ContactSystemError if it exceeds a limit, or was changed after it was written; other
-    errors if it is no such file.
+    Raises a ContactSystemError if the file exceeds a limit, or was changed after it was written,
+    and other errors if it is no saved plan.
     """
     texts = []
     for name in ("scene", "plan", "digest"):
@@ -51,7 +51,7 @@ def inputs_of(archive: ZipFile, source: str) -> dict[str, Any]:
     scene, plan, known = texts
     if known != digest([scene, plan]):
         raise ContactSystemError(
-            f"not {PLAN_FILE}, but changed since: its digest does not match; take the file as it "
+            f"not {PLAN_FILE}, but changed since: its digest does not match; use the file as it "
             "was written"
         )
     inputs = json.loads(plan)

@@ -1,4 +1,4 @@
-"""How contacts start: as a scene says, from measured states, or in the middle of a plan."""
+"""How contacts start: as a scene says, from measured states, or at a later time of a plan."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..surfaces import Surface
 
 
 class Moment(NamedTuple):
-    """One contact at one time, in its moving frames: all that a plan needs to go on exactly."""
+    """One contact at one time of a plan: all that another plan needs to start from it exactly."""
 
     finger_at: tuple[float, ...]  # u, v, theta, continuous along the path
     object_at: tuple[float, ...]
@@ -27,11 +27,11 @@ class Moment(NamedTuple):
 
 
 Starts = Sequence[Start | Moment]
-"""Either all Start or all Moment."""
+"""One for each contact, either all Start or all Moment."""
 
 
 def require_place(surface: Surface, u: float, v: float, place: str) -> None:
-    """Refuse coordinates outside the chart's regular range; whole turns do not matter."""
+    """Refuse coordinates outside the chart's regular range; those off by whole turns are right."""
     with naming(place):
         at = surface.canonical(u, v)
     near = surface.align(*at, u, v)
@@ -48,8 +48,8 @@ def measured_start(
 ) -> Start:
     """The start of a contact from its measured state at time t.
 
-    row (9): u1 v1 u1' v1' u2 v2 u2' v2' psi, object rates including the rate offset (2). Refuses
-    NaN, sigma = 0, a pole, and coordinates outside the chart.
+    row (9): u1 v1 u1' v1' u2 v2 u2' v2' psi, with the object's rate offset, ``offset`` (2), in u2'
+    and v2'. Refuses NaN, sigma = 0, a pole, and coordinates outside the chart.
     """
     where = f"{scene.title}, restart at t = {t:g} s, contact {index}"
     sigma = float(speed(scene.way(index), np.array(t)))
@@ -64,10 +64,10 @@ def measured_start(
             "where sigma > 0"
         )
     velocities = []
-    moved = row[4:8] - [0.0, 0.0, *offset]
+    transported = row[4:8] - [0.0, 0.0, *offset]
     for side, surface, (u, v, *rates) in (
         ("finger", scene.contacts[index].finger, row[:4]),
-        ("object", scene.object, moved),
+        ("object", scene.object, transported),
     ):
         require_place(surface, u, v, f"{where}, {side}")
         velocities.append(tuple(surface.metric_root(u, v) @ rates / sigma))
@@ -75,9 +75,9 @@ def measured_start(
 
 
 def on_branch(scene: Scene, measured: np.ndarray, planned: np.ndarray) -> np.ndarray:
-    """Measured states (n_contacts, 9) on the planned branch of charts that cover surfaces twice.
+    """Measured states (n_contacts, 9) on the planned branch of charts that are double covers.
 
-    Disturbances are chart components: on the other branch they would act the opposite way.
+    Disturbances are chart components: on the other branch they would have the opposite direction.
     """
     rows = measured.copy()
     for row, plan_row, contact in zip(rows, planned, scene.contacts):
