@@ -1,4 +1,4 @@
-"""A contact's goal as numbers for the engine, which searches paths to it (theory section 11)."""
+"""A contact's goal as numbers for the engine, which searches for paths (theory section 11)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PARTS = 8
 
 
 class Region(NamedTuple):
-    """A ball about a point of body 0 or 1: the search uses the radius, m; the widest is allowed."""
+    """A ball about a point of body 0 or 1: paths are sought in radius and allowed in widest."""
 
     side: int
     centre: Array
@@ -57,7 +57,7 @@ class Aim(Steer):
     sizes : list of float
         Sizes of the bodies, m; of a plane that of the other body.
     far : float
-        Straight distance of the goal, of a pose that of its origin, along s, m.
+        Straight distance to the goal, for a pose to its origin, in lengths of s, m.
     """
 
     def __init__(self, scene: Scene, index: int, goal: Goal, longest: float | None):
@@ -91,7 +91,7 @@ class Aim(Steer):
             self.origin[:] = self.pose[:3, 3].tolist()
         self._followers: list[Follower] = []  # the engine points into them
         for side in (0, 1):
-            self._tell_body(side)
+            self._set_body(side)
         for region in self.regions:
             self.body[region.side].within[:] = [*region.centre.tolist(), region.radius]
         self.start_off = float(np.linalg.norm(self.gap(np.array([x for x, _ in self.start]), pose)))
@@ -102,14 +102,14 @@ class Aim(Steer):
         return (1 + (5 if self.pose is not None else 2 * len(self.sides))) // 2
 
     def search(self, z: Array, tolerance: float, reached: float) -> tuple[Array, Array, Array]:
-        """Newton's method from paths z, (2 n, m), until two of them are ``reached`` off the goal.
+        """Newton's method from paths z, (2 n, m), until two end within ``reached`` of the goal.
 
         A path is (phi_1, ..., phi_n, s_1, ..., s_n): directions measured from ``finger_velocity``,
         and lengths along s, m; a path of negative length runs backwards. tolerance: error of a step
         of a geodesic, as a fraction of the size.
 
-        Returns the paths found, (2 n, 16); how far they end from the goal, in sizes of the smaller
-        body and rad, (16); J^T J, lengths in multiples of ``unit``, (2 n, 2 n, 16).
+        Returns the paths found, (2 n, 16); how far they ended from the goal before the last step,
+        in sizes of the smaller body and rad, (16); J^T J then, lengths in ``unit``, (2 n, 2 n, 16).
         """
         rows, count = z.shape
         tried = np.empty((rows, LANES))
@@ -122,7 +122,7 @@ class Aim(Steer):
         return tried, off, squares
 
     def gap(self, points: Array, pose: Array) -> Array:
-        """What contact points and pose are off the goal, in sizes and rad."""
+        """Contact points and pose minus those of the goal: one vector, in sizes and rad."""
         parts = [(points[side] - self.goal[side][0]) / self.sizes[side] for side in self.sides]
         if self.pose is not None:
             parts.append((pose[:3, :3] - self.pose[:3, :3]).ravel())
@@ -159,7 +159,7 @@ class Aim(Steer):
         return curvatures
 
     def _turning_length(self, k_1: float, k_2: float) -> float:
-        """Size of a closed path that turns the finger by 1 rad, as K_1 - K_2 is at the start, m.
+        """Size, m, of a closed path that turns the finger by 1 rad with K_1 - K_2 as at the start.
 
         It is between the sizes of the bodies: large if a small cylinder rolls on a large ball.
         """
@@ -192,7 +192,7 @@ class Aim(Steer):
             regions.append(Region(side, centre, radius, widest))
         return regions
 
-    def _tell_body(self, side: int) -> None:
+    def _set_body(self, side: int) -> None:
         """Fill the engine's fields of a body."""
         data, body, (x, frame) = self.body[side], self.bodies[side], self.start[side]
         data.wanted = side in self.sides
@@ -209,7 +209,7 @@ class Aim(Steer):
 
 
 def _pose(psi: float, both: list[tuple[Array, Array]]) -> Array:
-    """The finger's pose, (4, 4), where it touches with points and frames of both bodies."""
+    """The finger's pose, (4, 4), from psi and the contact points and frames of both bodies."""
     frames = np.concatenate([(x, *frame.T[:2]) for x, frame in both]).reshape(-1, 1)
     r = np.ravel(reflection_rows(np.cos(psi), np.sin(psi)))
     found = binding.run(binding.POSE, frames, r)

@@ -17,9 +17,9 @@ from .shooting import Array
 
 
 def four_rolls(aim: Aim, below: float) -> Array | None:
-    """The path z of four legs to places on both bodies and an angle.
+    """The path z of four legs (see `Aim.search`) to places on both bodies and an angle.
 
-    None for other goals, and if it is not shorter than ``below``, m along s.
+    None for other goals, and if the path is not shorter than ``below``, m along s.
     """
     pairs = zip(aim.bodies, reversed(aim.bodies))
     kinds = [body.chart.great_circles and is_plane(other) for body, other in pairs]

@@ -14,20 +14,20 @@ from ..theory.profile import Numbers
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """The goal of a contact; what is left out is free.
+    """The goal of a contact; coordinates that are left out are free.
 
     Parameters
     ----------
     object_at, finger_at : (float, float), optional
-        Chart coordinates (u, v) of the contact on the object and on the finger; without an angle
-        a pole is a goal, too.
+        Chart coordinates (u, v) of the contact on the object and on the finger; a pole is allowed
+        if no angle is given.
     angle : float, optional
         psi at the goal [rad]; only with both places.
     pose : (4, 4), optional
         Instead of places and angle: the finger's frame in the object's, a homogeneous matrix, m.
     object_within, finger_within : (float, float, float), optional
         u, v, radius: a region, such as a fingertip's pad. On the whole path the contact stays
-        within this (straight-line) distance, m, of the point (u, v) of the object or the finger.
+        within the radius, a straight-line distance, m, of the point (u, v) of object or finger.
 
     Raises
     ------
@@ -83,9 +83,9 @@ class Route:
     length : float
         Sum of the lengths of all legs, along s, m.
     residual : float
-        Greatest error at the goals: places in sizes of the bodies, angles in rad.
+        Greatest error at the goals: of places as a fraction of the bodies' sizes, of angles in rad.
     tried : str
-        Legs and starts of the search for a first route.
+        How many legs and random starts the search took to find a first route.
     """
 
     scene: Scene

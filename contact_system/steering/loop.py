@@ -16,10 +16,10 @@ from .goal import Goal, Route
 from .reach import TOLERANCE, reach
 
 SETTLED = 1e-9
-"""Change, rad, of the areas that curves enclose at which they have settled: each has about twice
-as many digits as the one before."""
+"""Change of the enclosed areas, rad, at which sums have converged: each has about twice as many
+digits as the one before."""
 PARTS = [2**k for k in range(6, 17)]
-"""Parts of a leg over which areas are summed."""
+"""Numbers of parts of a leg over which areas are summed, one after the other."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class Loop(Route):
         object, rad, positive for curves counterclockwise about the normal. They equal the areas
         that the normals enclose on the unit sphere, up to multiples of 4 pi.
     gauss_bonnet : float
-        Difference between the change of psi and minus the sum of these, rad, without whole turns:
-        0 by Gauss and Bonnet.
+        ``angle`` plus the sum of ``enclosed``, without whole turns, as a positive number, rad: 0
+        by the theorem of Gauss and Bonnet.
     """
 
     angle: float
@@ -61,7 +61,7 @@ def loop(scene: Scene, angle: float, *, contact: int = 0, seconds: float = 0.0) 
     Raises
     ------
     SceneError
-        No path is found, and why.
+        No path is found; the text says why.
     """
     require_scene(scene)
     if contact not in range(len(scene.contacts)):
@@ -94,8 +94,8 @@ def _turns(scene: Scene, contact: int) -> tuple[float, tuple[float, float]]:
 def _enclosed(motion: Motion, contact: int) -> tuple[float, float]:
     """The areas that the normals along both curves enclose on the unit sphere.
 
-    They are sums over equal steps, with twice as many each time. Such sums converge fast if what
-    is summed begins and ends smoothly, so a leg's time is a smooth function of the step.
+    They are sums over equal steps of a parameter x, twice as many each time. Such sums converge
+    fast if the integrand begins and ends smoothly, so a leg's time is a smooth function of x.
     """
     areas = np.full(2, math.nan)
     for parts in PARTS:  # normals turn fast over a flat body's rim
@@ -109,7 +109,7 @@ def _enclosed(motion: Motion, contact: int) -> tuple[float, float]:
 def _swept(motion: Motion, contact: int, parts: int) -> np.ndarray:
     """Normals n of finger and object in each part of each leg, and n x dn: (2, times, 2, 3).
 
-    dn: while n goes on as now for the time of the leg.
+    dn: the derivative of n by x, which goes from 0 to 1 on each leg.
     """
     turn = 2 * math.pi * np.arange(parts) / parts
     t, paces = [], []
@@ -127,7 +127,7 @@ def _swept(motion: Motion, contact: int, parts: int) -> np.ndarray:
 
 
 def _areas(n: np.ndarray, swept: np.ndarray) -> np.ndarray:
-    """Sums of z . (n x dn) / (1 + z . n), (2,), with z whose opposites are far from n."""
+    """Sums of z . (n x dn) / (1 + z . n), (2,), with an axis z for which -z is far from all n."""
     axes = np.vstack([np.eye(3), -np.eye(3)])
     z = axes[np.argmax((n @ axes.T).min(axis=0), axis=-1)]
     up, over = np.einsum("tij,ij->ti", n, z), np.einsum("tij,ij->ti", swept, z)

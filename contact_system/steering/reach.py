@@ -30,18 +30,18 @@ from .goal import Goal, Route
 from .shooting import SHARP, Array
 
 REACHED = 1e-12
-"""Error at which a goal is reached: places in sizes of the bodies, angles in rad."""
+"""Error at which a goal is reached: of places as a fraction of the size, of angles in rad."""
 TOLERANCE = 1e-14
 """Error of the plan of a path, as a fraction of the size."""
 COARSE = 1e-8
-"""Error of a step, as a fraction of the size, in a search of many paths."""
+"""Error of a step of a geodesic, as a fraction of the size, in a search of many paths."""
 NEAR, NEARER = 1e-4, 1e-7
-"""Errors before the last, quadratically convergent step in a search of many paths, and of one."""
+"""Errors at the goal before the last step, which squares them: of one of many paths, of a route."""
 STARTS, ROUNDS, LONGER = 128, 8, 1.5
-"""Starts for each number of legs in a round of the search, rounds, and how much longer legs are
-from round to round: on bodies of almost one form the two curves differ only after many turns."""
+"""Random starts for each number of legs in a round of the search, rounds, and the factor by which
+legs grow from round to round: on bodies of almost one form curves differ only after many turns."""
 CORRECTIONS, DIFFERENCE = 8, 1e-6
-"""Most corrections of a path for slip, and the change of unknowns for derivatives, in units."""
+"""Most corrections of a path for slip, and the unknowns' step in difference quotients, in units."""
 SAMPLES = 201
 """Times at which a route is checked against its regions."""
 
@@ -67,13 +67,13 @@ def reach(
     longest : float, optional
         Greatest length of a leg, m.
     seconds : float
-        Time for an optimiser to look for a shorter route, s, with more legs too if ``legs`` is not
-        given. 0: return the first route found.
+        Time for an optimiser to search for a shorter route, s, also one of more legs if ``legs``
+        is not given. 0: return the first route found.
 
     Raises
     ------
     SceneError
-        No route is found, and why.
+        No route is found; the text says why.
 
     Notes
     -----
@@ -124,7 +124,7 @@ def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
 
 @dataclass
 class _Route:
-    """A path z, a scene of this contact alone with its legs, and the error; J^T J there."""
+    """A path z (see `Aim.search`), a scene of this contact alone on it, its error, and J^T J."""
 
     z: Array
     scene: Scene
@@ -141,7 +141,7 @@ def _length(z: Array) -> float:
 
 
 def _starts(n: int, batch: int) -> Array:
-    """Random directions of n legs, and lengths from 0.5 to 3, of 16 paths: (2 n, 16)."""
+    """16 random paths of n legs, (2 n, 16): directions, and lengths from 0.5 to 3."""
     rng = random.Random(f"{n} {batch}")  # numpy's takes 9 ms to import
     part = np.array([rng.random() for _ in range(2 * n * LANES)]).reshape(2 * n, LANES)
     return np.concatenate([math.pi * (2 * part[:n] - 1), 0.5 + 2.5 * part[n:]])
@@ -153,7 +153,7 @@ class _Search:
     def __init__(self, scene: Scene, index: int, goal: Goal, longest: float | None):
         self.aim = aim = Aim(scene, index, goal, longest)
         self.scene, self.longest = scene, longest
-        # well below the start's error, or paths of no length would seem to arrive
+        # well below the error of the start, or paths of length 0 would seem to arrive
         self.near = max(min(NEAR, 0.01 * aim.start_off), REACHED)
         self.nearest = math.inf
         if longest is not None and not aim.is_pose and MOST_LEGS * longest < aim.far:
@@ -163,7 +163,7 @@ class _Search:
             )
 
     def alone(self, z: Array) -> Scene:
-        """A scene of this contact alone, on the legs of a path."""
+        """A scene of this contact alone, on the legs of the path z."""
         n, legs = len(z) // 2, []
         for direction, length in zip(z[:n].tolist(), z[n:].tolist()):
             direction = (direction + math.pi if length < 0 else direction) % (2 * math.pi)
@@ -173,8 +173,8 @@ class _Search:
         return self.scene.replace(**changed, **NO_CLAIMS)
 
     def shortest(self, legs: int | None, seconds: float) -> tuple[_Route, str]:
-        """The first route with the least number of legs, or the shortest one found in the time."""
-        if self.aim.start_off <= REACHED:  # it stays
+        """The first route found, of few legs; then shorter ones until the time is up."""
+        if self.aim.start_off <= REACHED:  # it stays at rest
             z = np.zeros(2 * (legs or 1))
             return _Route(z, self.alone(z), self.aim.start_off, np.eye(0)), "it starts at its goal"
         until = time.perf_counter() + seconds
@@ -208,10 +208,10 @@ class _Search:
         yield from filter(None, map(self._route_near, found))
 
     def _route_near(self, z: Array) -> _Route | None:
-        """The route near a path; None if Newton's method finds none.
+        """The route to which Newton's method leads from a path; None if there is none.
 
-        The error is that of the planned path. If slip moves the object's path off the geodesics,
-        its end is brought to the goal with derivatives by differences.
+        Its error is that of the planned path. If slip moves the object's curve off the geodesics,
+        difference quotients of plans serve as derivatives to bring its end to the goal.
         """
         try:
             paths, off, squares = self.aim.search(z[:, None], SHARP, NEARER)
@@ -228,7 +228,7 @@ class _Search:
             return None
 
     def _corrected(self, z: Array) -> Array:
-        """The path whose plan ends at the goal, by the least Gauss-Newton steps."""
+        """The path corrected by least-norm Gauss-Newton steps so that its plan ends at the goal."""
         n, longest = len(z) // 2, self.longest or math.inf
         unit, most = np.repeat([[1.0, self.aim.unit], [math.inf, longest]], n, axis=1)
         for _ in range(CORRECTIONS):
@@ -238,12 +238,12 @@ class _Search:
             both = [(z + h, z - h) for h in np.diag(DIFFERENCE * unit)]
             rows = [self._planned(more)[1] - self._planned(less)[1] for more, less in both]
             slopes = np.transpose(rows) / (2 * DIFFERENCE)
-            slopes[:, np.abs(z) >= most] = 0.0  # a leg of the greatest length stays so long
+            slopes[:, np.abs(z) >= most] = 0.0  # a leg of the greatest length keeps it
             z = np.clip(z - unit * np.linalg.lstsq(slopes, gap, rcond=1e-9)[0], -most, most)
         return z
 
     def _planned(self, z: Array) -> tuple[Scene, Array]:
-        """The scene of a path, and what the end of its plan is off the goal."""
+        """The scene of a path, and the difference between the end of its plan and the goal."""
         scene = self.alone(z)
         motion = Motion(scene, TOLERANCE)
         results: Any = motion.evaluate(np.array([scene.duration]), ("points", "pose"))
@@ -252,7 +252,7 @@ class _Search:
     # --- shorter ones ---------------------------------------------------------------------------
 
     def _shorter(self, route: _Route, counts: Sequence[int], until: float) -> _Route:
-        """The shortest route found until a time: routes from more starts, each one shortened."""
+        """The shortest route found until a time: this one and those of more starts, shortened."""
         best, batch = self._shortened(route, until), STARTS // LANES
         while time.perf_counter() < until:
             for route in itertools.chain(*(self._routes(n, batch) for n in counts)):
@@ -271,17 +271,17 @@ class _Search:
         while step > 1e-4 and time.perf_counter() < until:
             values, vectors = np.linalg.eigh(route.squares)
             free = vectors[:, values <= 1e-14 * values[-1]].T
-            fall = free.T @ (free @ np.concatenate([np.zeros(n), np.sign(route.z[n:])]))
-            if np.linalg.norm(fall) < 1e-6:
+            slope = free.T @ (free @ np.concatenate([np.zeros(n), np.sign(route.z[n:])]))
+            if np.linalg.norm(slope) < 1e-6:
                 break
-            other = self._route_near(route.z - step * unit * fall / np.linalg.norm(fall))
+            other = self._route_near(route.z - step * unit * slope / np.linalg.norm(slope))
             if other is not None and other.length < route.length and self._stays(other):
                 route, step = other, 2.0 * step
             else:
                 step *= 0.3
         return route
 
-    # --- what cannot be -------------------------------------------------------------------------
+    # --- regions and refusals -------------------------------------------------------------------
 
     def _stays(self, route: _Route) -> bool:
         """Whether a route stays within its regions."""
@@ -297,7 +297,7 @@ class _Search:
         why = "no path was found that arrives there"
         if self.nearest < NEAR and self.aim.contact.object_velocity != ROLLING:
             why += (
-                ": paths without slip do, slip leads away from them; raise the gain, or let it roll"
+                ": paths without slip do, but slip leads off them; raise the gain, or let it roll"
             )
         elif self._alike(0.02):
             why = (
@@ -324,7 +324,7 @@ class _Search:
     def _alike(self, part: float = 0.0) -> bool:
         """Whether K_1 = K_2 everywhere: rolling cannot reach all goals (theory section 11).
 
-        part: of the size, by which balls may differ.
+        part: greatest difference of two balls' radii, as a fraction of the object's.
         """
         one, other = self.aim.bodies
         balls = one.chart.great_circles and other.chart.great_circles

@@ -1,4 +1,4 @@
-"""Shooting: geodesics aimed at points by Newton's method, from the chord or a fan of directions."""
+"""Shooting: Newton's method aims geodesics at points, starting from the chord or a fan of rays."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ Array = np.ndarray
 
 MET = 1e-13  # of the size: distance from b at which a geodesic has met it
 NEAR = 3e-8  # of the surface's detail, and rad: from so near, one step of Newton's method meets b
-SHARP, ROUGH = 5e-15, 1e-4  # error of a step, of the size: of a geodesic, and of a ray of a fan
-STEPS = 25  # most of Newton's method
+SHARP, ROUGH = 5e-15, 1e-4  # error of a step, of the size: on a geodesic, and on a ray of a fan
+STEPS = 25  # most steps of Newton's method
 RAYS = 64  # of a fan
-# A strip is flat across where its chord and its arc differ by less than this part, and it is not
-# wider than this part of the size. On a disk of thickness 0.02 that saves 12/13 of the time.
+# A strip between two rays is flat where its chord and arc across differ by less than the part FLAT
+# and its width is below the part NARROW of the size. It saves 12/13 of the time on a thin disk.
 FLAT, NARROW = 0.02, 0.05
-SPLITS = 40  # most halvings of a strip between two rays
-TOGETHER = 1024  # strips that are sifted at once, about
-FARTHEST = 30.0  # longest geodesics searched, in sizes plus distances of the points
-MOST_SIZES = 1e4  # between points; the time of a search grows with their distance
+SPLITS = 40  # most halvings of a strip
+TOGETHER = 1024  # most strips that are examined at once
+FARTHEST = 30.0  # longest geodesics, in multiples of the size plus the points' distance
+MOST_SIZES = 1e4  # most sizes between points; the time of a search grows with their distance
 
 
 class Follower(Followed):
     """Follows geodesics of a surface from states (6 or 3, n): see ``geodesics`` in engine.h.
 
-    space: whether states are in space, (x, p); detail: length over which the surface is nearly
-    flat, m.
+    space: whether states are in space, (x, p), or in the chart, (u, v, theta); detail: length over
+    which the surface is nearly flat, m.
     """
 
     def __init__(self, surface: Surface):
@@ -56,7 +56,7 @@ class Follower(Followed):
         self.kept = surface  # the engine points to its numbers
 
     def __call__(self, start: Array, length: Array, tolerance: Any, samples: int = 0) -> Array:
-        """The ends: x, p, q, J, J', M, M' (13, n); or x and J at equal steps, (samples, 4, n)."""
+        """The ends: x, p, q, J, J', M, M' (13, n); or x, J at equal steps, (samples, 4, n)."""
         n, address = len(length), binding.address
         start, length = np.ascontiguousarray(start), np.ascontiguousarray(length)
         tolerance = np.full(n, tolerance)
@@ -88,7 +88,7 @@ class Search:
         phi, s, met, _ = self.aim(every, *self.chords(every))
         which = np.flatnonzero(~met | (s > self.surface.injectivity * (1 + 1e-12)))
         s[~met] = math.inf
-        # the time that a fan takes grows fast with its reach on thin bodies
+        # begin with a short reach: on thin bodies the time of a fan grows fast with it
         chord = self.pairs.chord
         reach = np.where(s > 1.6 * chord, 1.2 * chord, s * (1 + 1e-6))[which]
         while len(which):
@@ -115,7 +115,7 @@ class Search:
             longest *= 1 + 1e-12  # on a sphere it is just met
         reach = np.minimum(2 * self.pairs.chord, longest)
         while True:
-            # rays have no sample close to a: the chord finds b there
+            # a b that is close to a lies before the first sample of rays: the chord finds it
             both = zip(self.fan(only, reach), (only, *self.chords(only), reach))
             _, phi, s, j = self.within_reach(*map(np.concatenate, both))
             kept: list[int] = []
@@ -129,7 +129,7 @@ class Search:
             reach = np.minimum(1.5 * reach, longest)
 
     def within_reach(self, which: Array, phi: Array, s: Array, reach: Array) -> list[Array]:
-        """What candidates lead to and is not longer than the reach: pair, direction, length, J."""
+        """Geodesics that candidates lead to, if not longer than the reach: pair, phi, length, J."""
         phi, s, met, j = self.aim(which, phi, s)
         met &= s <= reach
         return [w[met] for w in (which, phi, s, j)]
@@ -137,10 +137,10 @@ class Search:
     # -- aiming
 
     def chords(self, which: Array) -> tuple[Array, Array]:
-        """Directions and lengths of the circles tangent to the surface at a that pass b."""
+        """Directions and lengths of arcs from a to b of circles tangent to the surface at a."""
         pairs, chord = self.pairs, self.pairs.chord[which]
-        way = pairs.b[which] - pairs.x[which]
-        ahead, aside = (np.einsum("ij,ij->i", w[which], way) for w in (pairs.p, pairs.q))
+        r = pairs.b[which] - pairs.x[which]
+        ahead, aside = (np.einsum("ij,ij->i", w[which], r) for w in (pairs.p, pairs.q))
         rise = np.sqrt(np.maximum(chord**2 - ahead**2 - aside**2, 0))
         angle = np.arctan2(rise, np.hypot(ahead, aside))
         return np.arctan2(aside, ahead), chord / np.sinc(angle / math.pi)
@@ -156,7 +156,7 @@ class Search:
             r, j = self.pairs.b[k].T - end[:3], end[9]
             away = np.sqrt(np.einsum("ij,ij->j", r, r))
             along, aside = (np.einsum("ij,ij->j", r, w) for w in (end[3:6], end[6:9]))
-            # hardly any of the way left is along the surface: b is beyond the rim of a thin body
+            # what is left to b is almost normal to the surface: b is beyond a thin body's rim
             over = (along**2 + aside**2 < 0.1 * away**2) & (away > NEAR * self.follow.detail)
             along = np.where(over, np.maximum(away, self.follow.detail), along)
             turn = aside * j / (j**2 + (1e-12 * size) ** 2)
@@ -180,26 +180,26 @@ class Search:
     # -- a fan of directions
 
     def fan(self, which: Array, reach: Array) -> list[Array]:
-        """Candidates to meet b within the reach, unless it is close to a: pair, direction, length,
-        reach."""
+        """Candidates for geodesics to b within the reach, except where b is close to a: arrays of
+        pair, direction, length, reach."""
         order = np.argsort(reach)  # fans of similar size together
         which, reach = which[order], reach[order]
-        # off the axes of symmetry, where rays would meet poles of charts
+        # 0.137 keeps rays off axes of symmetry, along which they would meet poles of charts
         angles = 2 * math.pi * (np.arange(RAYS) + 0.137) / RAYS
         phi, width = np.tile(angles, len(which)), np.full(RAYS * len(which), 2 * math.pi / RAYS)
-        found = self.sift(np.repeat(which, RAYS), np.repeat(reach, RAYS), phi, width)
+        found = self.candidates(np.repeat(which, RAYS), np.repeat(reach, RAYS), phi, width)
         return [np.concatenate(w) for w in zip(*found)]
 
-    def sift(
+    def candidates(
         self, pair: Array, limit: Array, phi: Array, width: Array, depth: int = 0
     ) -> Iterator[tuple[Array, ...]]:
         """Candidates in strips between two rays, and in the halves of wide strips.
 
-        A strip is a pair of points, the reach, the direction of one side, the angle to the other.
+        A strip is a pair of points, the reach, the direction of one ray, the angle to the other.
         """
         if len(pair) > TOGETHER:  # to limit memory
             for part in (slice(i, i + TOGETHER) for i in range(0, len(pair), TOGETHER)):
-                yield from self.sift(pair[part], limit[part], phi[part], width[part], depth)
+                yield from self.candidates(pair[part], limit[part], phi[part], width[part], depth)
             return
         self.spent += np.bincount(pair, minlength=len(self.spent))
         most = self.spent.argmax()
@@ -225,31 +225,31 @@ class Search:
         k, strip, share, ahead = self.closest(near & ~coarse, away, across, r, middle)
         s = limit[strip] / count * np.maximum(k + 1 + ahead * count / limit[strip], 0.25)
         yield pair[strip], phi[strip] + width[strip] * share, s, limit[strip]
-        folds = one[k, 3, strip] * other[k, 3, strip] < 0  # two lines may pass b, one on each side
+        folds = one[k, 3, strip] * other[k, 3, strip] < 0  # a caustic: two geodesics may meet b
         for side in (0.0, 1.0):
             own = strip[folds]
             yield pair[own], phi[own] + side * width[own], s[folds], limit[own]
         if coarse.any():
             pair, limit, phi, half = (w[coarse] for w in (pair, limit, phi, 0.5 * width))
             halves = np.tile(pair, 2), np.tile(limit, 2), np.concatenate([phi, phi + half])
-            yield from self.sift(*halves, np.tile(half, 2), depth + 1)
+            yield from self.candidates(*halves, np.tile(half, 2), depth + 1)
 
     def passing(self, away: Array, wide: Array, flat: Array, reach: Array) -> tuple[Array, Array]:
         """Where strips pass b while they are narrow or flat, and which strips must be split.
 
-        Where a strip has become wide, its sides do not tell where it goes, only how far.
+        Where a strip is too wide, its rays do not tell what is between them: split it if b is near.
         """
         parts, strips = wide.shape
-        torn = np.maximum.accumulate(~flat & (wide > 2 * self.follow.detail), axis=0)
-        near = ~torn & (away <= 0.75 * (wide + reach / parts))
-        first = np.argmax(torn, axis=0), np.arange(strips)
+        too_wide = np.maximum.accumulate(~flat & (wide > 2 * self.follow.detail), axis=0)
+        near = ~too_wide & (away <= 0.75 * (wide + reach / parts))
+        first = np.argmax(too_wide, axis=0), np.arange(strips)
         left = reach * (1 - (first[0] + 1) / parts) + wide[first]
-        return near, torn[-1] & (away[first] <= left)
+        return near, too_wide[-1] & (away[first] <= left)
 
     def closest(
         self, near: Array, away: Array, across: Array, r: Array, middle: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Closest passages of strips to b: step, strip, fraction of its width, length beyond."""
+        """Closest passages of strips to b: step, strip, fraction of the width, length past step."""
         padded = np.pad(away, ((1, 1), (0, 0)), constant_values=math.inf)
         k, strip = np.nonzero(near & (away <= padded[:-2]) & (away <= padded[2:]))
         a, r = across[k, :, strip], r[k, :, strip]

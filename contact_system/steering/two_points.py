@@ -1,8 +1,8 @@
 """The shortest geodesic between two points of a surface, and others (theory section 11).
 
 Newton's method aims a geodesic at a point; the Jacobi field is its derivative. It starts from the
-chord. If the geodesic found is not short enough to be surely the shortest, a fan of directions
-covers all points that are not farther, and every candidate in it is aimed.
+chord. If the geodesic found is longer than `Surface.injectivity`, there may be a shorter one: a fan
+of rays then covers all points that are no farther, and every candidate in it is aimed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ON_SURFACE = 1e-9  # of the size: greatest distance from the surface of points o
 
 @dataclass(frozen=True, eq=False)
 class Geodesic:
-    """The geodesic from a to b, or many of them, with arrays of the pairs' shape (...).
+    """The geodesic from a to b, or many of them, for arrays of pairs of the shape (...).
 
     Attributes
     ----------
@@ -101,8 +101,8 @@ def geodesic(surface: Surface, a: ArrayLike, b: ArrayLike) -> Geodesic:
     Raises
     ------
     SurfaceError
-        Points not on the surface or 1e4 sizes apart, no geodesic between them, or a search over
-        ``limits.STRIPS``, as on a body that is flat as a leaf.
+        Points not on the surface or 1e4 sizes apart, no geodesic between them, or a search that
+        exceeds ``limits.STRIPS``, as on a body as thin as a leaf.
     """
     pairs = Pairs(surface, a, b)
     if surface.chart.developable:
@@ -123,7 +123,7 @@ def geodesics(
     a, b : (2,) or (3,)
         As for `geodesic`, of one pair.
     most : int
-        Greatest number of geodesics. A continuum of them, as between the poles of a sphere, counts
+        Greatest number of geodesics. A continuous family, as between the poles of a sphere, counts
         as one.
     longest : float, optional
         Greatest length, m; default: the shortest plus twice round a sphere of the size.
@@ -161,7 +161,7 @@ def geodesics(
 
 
 class Pairs:
-    """Pairs of points, and states from which geodesics start at the first ones."""
+    """Pairs of points a, b, and the states of geodesics that start at a."""
 
     def __init__(self, surface: Surface, a: ArrayLike, b: ArrayLike):
         of_kind(Surface, surface, "surface", "a Surface", SurfaceError)
@@ -196,7 +196,7 @@ class Pairs:
         return np.vstack([self.x[which].T, first])
 
     def geodesic(self, phi: Array, s: Array, shape: tuple[int, ...]) -> Geodesic:
-        """The result, from directions and lengths."""
+        """The result for directions and lengths at a."""
         tangent = np.cos(phi)[:, None] * self.p + np.sin(phi)[:, None] * self.q
         direction = np.where(
             self.lost, math.nan, np.remainder(phi + math.pi, 2 * math.pi) - math.pi
@@ -246,7 +246,7 @@ class Pairs:
         return np.concatenate([np.stack(uv, axis=-1), there], axis=-1)
 
     def _frames(self, uv: Array) -> tuple[Array, Array]:
-        """Contact frames (n, 3, 3), and where there is none."""
+        """Contact frames (n, 3, 3), and whether each is missing, as at a pole (n,)."""
         frame, m = self.surface._evaluate(*uv.T, "frame", "metric_root")
         least = np.minimum(m[:, 0, 0], m[:, 1, 1])
         return frame, ~(least > SINGULAR * self.surface.size)
