@@ -1,24 +1,24 @@
 """Builds the engine: the C in contact_system/engine becomes one library inside the package.
 
-    pip install .                         compiles the engine on the way
-    python setup.py build_ext --inplace   the engine alone, where it lies, in seconds
-    python setup.py wheels                wheels of all PLATFORMS, into dist/
+    pip install .                         compiles the engine and installs the package
+    python setup.py build_ext --inplace   compiles the engine alone, into the clone, in seconds
+    python setup.py wheels                makes wheels of all PLATFORMS in dist/
 
-The compiler is $CC, cc, gcc or clang; where none works, and for other platforms, that of the
-ziglang package, which pip fetches then. $CONTACT_SYSTEM_CFLAGS adds flags. For the C:
+The compiler is $CC, cc, gcc or clang. Where none works, and for other platforms, it is that of the
+ziglang package, which pip then downloads. $CONTACT_SYSTEM_CFLAGS adds flags. For the C:
 
 - engine.c is compiled once for each of VARIANTS, with -DVARIANT=baseline or v3 and the
   instructions of that variant; on processors other than x86-64 only as baseline. It includes the
-  other files by itself and defines one symbol that others see, `const engine_t engine_<VARIANT>`.
-- dispatch.c, which holds the tables, is compiled once, as baseline. It learns by -DHAVE_V3 whether
-  there are two variants, and chooses when the library is used.
+  other C files and defines one symbol that others see, `const engine_t engine_<VARIANT>`.
+- dispatch.c, which holds the tables, is compiled once, as baseline. -DHAVE_V3 tells it that there
+  are two variants; it chooses between them when the library is first used.
 - fmu_export/c/fmi2.c and fmi3.c, which include the rest of that folder, are the functions of FMI:
-  the library is the binary of every FMU too. With -ftrapping-math they meet NaN quietly: importers
-  may trap invalid operations.
-- Only what is marked EXPORT is seen from outside. At run time there are libc and libm alone.
+  the library is the binary of every FMU too. They are compiled with -ftrapping-math so that
+  comparisons with NaN raise no exception: importers may trap invalid operations.
+- Only what is marked EXPORT is visible outside. At run time the library needs libc and libm alone.
 - Products and sums are not contracted, so that a table and its twin give the same bits.
-- ziglang's compiler has a sin, an exp and so on of its own, less exact than libm's. Whatever needs
-  its library (__builtin_cpu_supports, divisions of __int128) draws in all of it.
+- ziglang's compiler has its own sin, exp and so on, less exact than libm's. To use anything of its
+  library (__builtin_cpu_supports, divisions of __int128) links all of it.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ ENGINE = Path("contact_system", "engine")
 FMI = Path("fmu_export", "c")
 ZIGLANG = "ziglang>=0.17,<1"
 
-SAID = runpy.run_path(str(ENGINE / "platforms.py"))
-PLATFORMS = {p.wheel: p.target for p in SAID["PLATFORMS"].values() if p.wheel}
-FLAGS = (*SAID["FLAGS"], "-fPIC")
+DEFINED = runpy.run_path(str(ENGINE / "platforms.py"))
+PLATFORMS = {p.wheel: p.target for p in DEFINED["PLATFORMS"].values() if p.wheel}
+FLAGS = (*DEFINED["FLAGS"], "-fPIC")
 EXTRA = shlex.split(os.environ.get("CONTACT_SYSTEM_CFLAGS", ""))
 
-# Variant -> flags, of which the first that the compiler knows are taken: those of gcc and clang,
-# ziglang's, those of compilers that know no levels of x86-64. Without any there is no such variant.
-# That for processors older than 2013 is compiled in half the time, and up to 1.8 times as slow.
-# One for AVX-512 took 3 to 8 % less on an Intel Xeon, and nothing less on an AMD EPYC.
+# Variant -> choices of flags, of which the first that the compiler accepts is used: that of gcc and
+# clang, of ziglang, of compilers without levels of x86-64. If it accepts none, there is no variant.
+# The baseline, for processors older than 2013, compiles in half the time, and is up to 1.8 times as
+# slow. A variant for AVX-512 saved 3 to 8 % of the time on an Intel Xeon, and none on an AMD EPYC.
 # gcc 12 fuses x y - z w beside x y + z w even with -ffp-contract=off, hence -mno-fma.
-# gcc unrolls loops over 4 vectors when it peels, 6 % of the time of K4; clang would warn of it.
+# -fpeel-loops lets gcc unroll loops over 4 vectors: 6 % less time for K4. clang would warn of it.
 _AVX2 = ("-mavx2", "-mbmi", "-mbmi2", "-mlzcnt")
 _PEELING = ("-fpeel-loops", "-Wno-ignored-optimization-argument")
 VARIANTS = {
@@ -75,25 +75,25 @@ PLATFORM = os.environ.get("CONTACT_SYSTEM_PLATFORM") or this_platform()
 LIBRARY = ENGINE / f"_engine{ {'mac': '.dylib', 'win': '.dll'}.get(PLATFORM[:3], '.so') }"
 LINKING = [
     "-lm",
-    *(flag for flag in SAID["shared"](LIBRARY.suffix) if "-g" not in EXTRA or flag != "-s"),
+    *(flag for flag in DEFINED["shared"](LIBRARY.suffix) if "-g" not in EXTRA or flag != "-s"),
 ]
 
 
 def works(*command: str) -> bool:
     """Whether a compiler can be run and takes these flags."""
-    with tempfile.TemporaryDirectory() as room:
-        source = Path(room, "trial.c")
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder, "trial.c")
         source.write_text("#include <math.h>\ndouble f(double x) { return sin(x); }\n")
-        words = [*command, str(source), "-o", str(Path(room, "trial"))]
+        words = [*command, str(source), "-o", str(Path(folder, "trial"))]
         return subprocess.run(words, capture_output=True).returncode == 0
 
 
 @functools.cache
 def system_compiler() -> tuple[str, ...]:
-    """This system's compiler; empty if none works, or if we build for another platform."""
+    """This system's compiler; empty if none works, or if the build is for another platform."""
     if PLATFORM != this_platform():
         return ()
-    # Not gcc on Windows: it stores vectors of 32 bytes on a stack aligned to 16.
+    # gcc is left out on Windows: it stores vectors of 32 bytes on a stack aligned to 16.
     names = ["clang"] if sys.platform == "win32" else ["cc", "gcc", "clang"]
     mac = ["-arch", platform.machine(), "-mmacosx-version-min=11.0"] * (sys.platform == "darwin")
     for name in (os.environ.get("CC", ""), *names):
@@ -113,13 +113,13 @@ def compiler() -> tuple[str, ...]:
         raise SystemExit("no C compiler: install gcc or clang, or `pip install ziglang`") from None
     os.environ.setdefault("ZIG_GLOBAL_CACHE_DIR", str(Path("build", "zig").absolute()))
     program = Path(ziglang.__file__).with_name("zig.exe" if os.name == "nt" else "zig")
-    # Left to itself it would compile for the very processor that it runs on.
+    # By default it would compile for the very processor that it runs on.
     target = ("-target", PLATFORMS[PLATFORM]) if PLATFORM in PLATFORMS else ("-mcpu=baseline",)
     return (str(program), "cc", *target)
 
 
 def get_requires_for_build_wheel(config_settings=None):
-    """What pip has to fetch: a compiler only where there is none."""
+    """What pip must download for a build: also a compiler where this system has none."""
     asked = build_meta.get_requires_for_build_wheel(config_settings)
     return asked if system_compiler() else [*asked, ZIGLANG]
 
@@ -128,46 +128,45 @@ get_requires_for_build_editable = get_requires_for_build_wheel
 
 
 def run(*command: str) -> None:
-    """Run a compiler and pass on what it says."""
+    """Run a compiler and print its output; exit if it fails."""
     ran = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     print(ran.stdout, end="", file=sys.stderr)
     if ran.returncode:
         raise SystemExit(f"{shlex.join(command)} failed")
 
 
-def build_library(library: Path, room: Path) -> None:
-    """Compile all at once, and link."""
+def build_library(library: Path, temporary: Path) -> None:
+    """Compile all C files in parallel, and link them to the library."""
     command = (*compiler(), *FLAGS, *EXTRA)
 
-    def known(choices: tuple[tuple[str, ...], ...]) -> tuple[str, ...] | None:
+    def accepted(choices: tuple[tuple[str, ...], ...]) -> tuple[str, ...] | None:
         return next((flags for flags in choices if works(*compiler(), *flags, "-c")), None)
 
     def compiled(source: Path, name: str, *flags: str) -> str:
-        made = str(room / f"{name}.o")
+        made = str(temporary / f"{name}.o")
         run(*command, *flags, f"-I{ENGINE}", "-c", str(source), "-o", made)
         return made
 
-    for folder in (room, library.parent):
+    for folder in (temporary, library.parent):
         folder.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         wanted = VARIANTS if PLATFORM.endswith(("x86_64", "amd64")) else {"baseline": ((),)}
-        found = zip(wanted, pool.map(known, wanted.values()))
-        have = {name: flags for name, flags in found if flags is not None}
-        engine = ENGINE / "engine.c"
-        jobs = [(engine, f"engine_{k}", f"-DVARIANT={k}", *have[k]) for k in have]
-        told = [f"-DHAVE_{name.upper()}" for name in have]
-        jobs.append((ENGINE / "dispatch.c", "dispatch", *told, *have["baseline"]))
-        quiet = (*have["baseline"], "-ftrapping-math")
-        jobs += [(FMI / f"{k}.c", k, *quiet) for k in ("fmi2", "fmi3")]
+        found = zip(wanted, pool.map(accepted, wanted.values()))
+        variants = {name: flags for name, flags in found if flags is not None}
+        engine, baseline = ENGINE / "engine.c", variants["baseline"]
+        jobs = [(engine, f"engine_{k}", f"-DVARIANT={k}", *variants[k]) for k in variants]
+        have = [f"-DHAVE_{name.upper()}" for name in variants]
+        jobs.append((ENGINE / "dispatch.c", "dispatch", *have, *baseline))
+        jobs += [(FMI / f"{k}.c", k, *baseline, "-ftrapping-math") for k in ("fmi2", "fmi3")]
         objects = list(pool.map(lambda job: compiled(*job), jobs))
-    run(*command, *objects, "-o", str(room / library.name), *LINKING)
-    shutil.copy(room / library.name, library.with_suffix(".part"))
+    run(*command, *objects, "-o", str(temporary / library.name), *LINKING)
+    shutil.copy(temporary / library.name, library.with_suffix(".part"))
     os.replace(library.with_suffix(".part"), library)  # programs that use the old one keep it
-    print(f"{library}: {', '.join(have)} by {shlex.join(compiler())}", file=sys.stderr)
+    print(f"{library}: {', '.join(variants)} by {shlex.join(compiler())}", file=sys.stderr)
 
 
 class BuildEngine(build_ext):
-    """The library in the place of a Python extension."""
+    """Builds the library where setuptools expects a Python extension."""
 
     def get_ext_filename(self, fullname: str) -> str:
         return str(LIBRARY)
@@ -177,7 +176,7 @@ class BuildEngine(build_ext):
 
 
 class Wheel(bdist_wheel):
-    """One for all Pythons of a platform."""
+    """One wheel for all versions of Python on a platform."""
 
     def get_tag(self) -> tuple[str, str, str]:
         return "py3", "none", PLATFORM
@@ -188,12 +187,12 @@ class Wheels(bdist_wheel):
 
     def run(self) -> None:
         for os.environ["CONTACT_SYSTEM_PLATFORM"] in PLATFORMS:
-            with tempfile.TemporaryDirectory() as room:
-                steps = ["build", "-b", room, "bdist_wheel", "--skip-build", "-d", self.dist_dir]
+            with tempfile.TemporaryDirectory() as folder:
+                steps = ["build", "-b", folder, "bdist_wheel", "--skip-build", "-d", self.dist_dir]
                 subprocess.run([sys.executable, "-Wignore", __file__, "-q", *steps], check=True)
 
 
-if __name__ == "__main__":  # as it is for setuptools too
+if __name__ == "__main__":  # so setuptools runs it too; pip imports it as the build back end
     setup(
         cmdclass={"build_ext": BuildEngine, "bdist_wheel": Wheel, "wheels": Wheels},
         ext_modules=[Extension("contact_system.engine._engine", [str(ENGINE / "engine.c")])],
