@@ -136,7 +136,7 @@ def Picture(path: str | os.PathLike[str], size: tuple[float, float], dpi: int) -
 
 
 def draw_title(figure: Any, plan: Plan, moves: bool = True) -> None:
-    """Name, profile and gain, if they move the contacts, and description of a scene at the top."""
+    """A scene's name and description at the top; profile and gain too if they move the contacts."""
     scene = plan.scene
     legs_alone = all(contact.legs for contact in scene.contacts)
     sigma = "of legs" if legs_alone else f"= {_polynomial(scene.profile)} m/s"
@@ -154,7 +154,7 @@ def gain_text(gain: Gain) -> str:
 
 
 def _polynomial(profile: Profile) -> str:
-    """Such as '0.001 + 0.4·t²': terms of 0 are left out."""
+    """The profile as text, such as '0.001 + 0.4·t²'; terms of 0 are left out."""
     raised = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
     powers = ["", "·t", *(f"·t{k}".translate(raised) for k in range(2, len(profile.coefficients)))]
     terms = [f"{c:.4g}{power}" for c, power in zip(profile.coefficients, powers) if c]
@@ -178,7 +178,7 @@ def _entry(label: str, **style: Any) -> Any:
 
 
 def _draw_key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = True) -> None:
-    """The legend: of slip under some gain laws, of the bodies, or of both."""
+    """The legend, of slip under one or two gain laws, of the bodies, or of both."""
     from matplotlib.patches import Patch
 
     entries = []
@@ -228,12 +228,12 @@ def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
 def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
     """Draw one law; returns the slip drawn, (n, n_contacts), m/s."""
     t = plan.sample_times(1201)
-    # slip by a rate offset jumps at an edge: draw the time just before it, too
+    # slip by a rate offset jumps at an edge: also draw the slip just before
     t = np.unique(np.append(t, np.nextafter(t[np.isin(t, plan.scene.edges) & (t > plan.start)], 0)))
     slip = plan.slip_speed(t)
     style: dict[str, Any] = {"dashes": (2.2, 1.1)} if dashed else {}
     for i in np.flatnonzero(slip.any(axis=0)).tolist():
-        # of coincident lines the lower are wider, so that each is visible
+        # where lines coincide the lower ones are wider, so that each is visible
         above = np.isclose(slip[:, i + 1 :], slip[:, i : i + 1], rtol=0.02).all(0).sum()
         style |= {"color": colour_of(i), "linewidth": 1.8 + 1.7 * min(above, 3)}
         line = np.where(slip[:, i] > 0, slip[:, i], np.nan)
@@ -254,7 +254,7 @@ def shade_windows(ax: Any, plan: Plan) -> None:
 
 
 def _draw_speed(ax: Any, plan: Plan) -> None:
-    """What there is to see without slip."""
+    """Draw the speeds of the contact points, if there is no slip to draw."""
     t, scene = plan.sample_times(), plan.scene
     paces = [math.hypot(*contact.start().finger_velocity) for contact in scene.contacts]
     for way, pace in {(scene.way(i), pace) for i, pace in enumerate(paces)}:
@@ -270,7 +270,7 @@ def _draw_object(ax: Any, plan: Plan) -> None:
 
 
 def _draw_finger(ax: Any, plan: Plan) -> None:
-    """The first finger, with the curves of all contacts with an equal finger."""
+    """The first finger, with the curves of all contacts that have an equal finger."""
     contacts = plan.scene.contacts
     finger = contacts[0].finger
     same = [i for i, c in enumerate(contacts) if c.finger == finger]

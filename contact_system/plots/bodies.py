@@ -44,7 +44,7 @@ def draw_body(ax: Any, mesh: Mesh | None, curves: Sequence[Curve]) -> None:
 
 
 def best_view(mesh: Mesh | None, curves: Sequence[Curve]) -> np.ndarray:
-    """The view, of a ring of orthographic cameras, that the curves face most.
+    """The view of the orthographic camera, of some around the body, that curves face most.
 
     (3, 3): x @ view is right, up and depth, m; nearer points have a greater depth.
     """
@@ -62,7 +62,7 @@ def best_view(mesh: Mesh | None, curves: Sequence[Curve]) -> np.ndarray:
 
 
 def _normals_at(mesh: Mesh | None, points: np.ndarray) -> np.ndarray:
-    """Normal of the mesh vertex next to each point."""
+    """Normal of the mesh vertex nearest to each point."""
     if mesh is None:
         return np.tile([0.0, 0.0, 1.0], (len(points), 1))
     return mesh.normals[[((mesh.points - x) ** 2).sum(1).argmin() for x in points]]
@@ -82,14 +82,14 @@ def is_hidden(mesh: Mesh | None, view: np.ndarray, points: np.ndarray) -> np.nda
     across = np.abs(area) > 1e-9 * slack**2  # triangles seen edge-on hide nothing
     a, b, c, area = a[across], b[across], c[across], area[across]
     zero, one = np.zeros_like(area), np.ones_like(area)
-    # linear in the point: its coordinates in a triangle, and how far the triangle is nearer
+    # linear functions of a point: its barycentric coordinates, and how much nearer the triangle is
     beta = np.stack([c[:, 1], -c[:, 0], zero]) / area
     gamma = np.stack([-b[:, 1], b[:, 0], zero]) / area
     nearer = beta * b[:, 2] + gamma * c[:, 2] - np.stack([zero, zero, one])
     slopes = np.stack([beta, gamma, -beta - gamma, nearer])
     offsets = np.stack([zero, zero, one, -slack * one]) - np.einsum("kim,mi->km", slopes, a)
     low, high = corners[across, :, :2].min(1), corners[across, :, :2].max(1)
-    for first in range(0, len(points), 16):  # neighbours, which few triangles are near to
+    for first in range(0, len(points), 16):  # neighbouring points, near to few triangles
         seen = points[first : first + 16] @ view
         near = ((low <= seen[:, :2].max(0)) & (high >= seen[:, :2].min(0))).all(1)
         covers = seen @ slopes[:, :, near] + offsets[:, None, near] >= 0
@@ -107,7 +107,7 @@ def _draw_surface(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
     shade = 0.5 + 0.5 * mesh.normals @ (light / np.linalg.norm(light))
     layers = [(facing <= 0, HOLLOW, 1 - shade), (facing > 0, BODY, shade)]
     style = {"shading": "gouraud", "vmin": 0, "vmax": 1, "zorder": 1, "rasterized": True}
-    # of a hollow only the far side is drawn, as in a bowl cut open
+    # only the far side of a hollow is drawn, as of a bowl that is cut open
     for chosen, colours, values in layers[mesh.surface.inside :]:
         if chosen.any():
             colours = LinearSegmentedColormap.from_list("body", colours)
@@ -126,7 +126,7 @@ def _draw_chart_lines(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
 
 
 def _draw_outline(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
-    """The silhouette, where n . d = 0 in a triangle, and the edges."""
+    """The silhouette, where the normal turns from the camera, and the surface's edges."""
     from matplotlib.collections import LineCollection
 
     facing, triangles = mesh.normals @ view[:, 2], mesh.triangles()
@@ -166,7 +166,7 @@ def _draw_curve(ax: Any, seen: np.ndarray, curve: Curve, hidden: np.ndarray) -> 
 
 
 def _mark_start(ax: Any, start: np.ndarray, curve: Curve, behind: bool, below: int) -> None:
-    """A curve's number at its start, below ``below`` others there."""
+    """Write a curve's number at its start, or below the numbers of ``below`` others there."""
     style: dict[str, Any] = {"size": 9, "weight": "bold", "ha": "center", "va": "center"}
     style |= {"color": "white", "alpha": 0.75 if behind else 1.0, "zorder": 8}
     box = {"facecolor": curve.colour, "edgecolor": "white", "linewidth": 1.1}
@@ -188,7 +188,7 @@ def _draw_legs(ax: Any, mesh: Mesh | None, view: np.ndarray, curve: Curve) -> No
 
 
 def _draw_frame(ax: Any, seen: np.ndarray, length: float, alpha: float) -> None:
-    """Two axes of a projected frame: origin and tips, (3, 2)."""
+    """Draw two axes of a projected frame, which is its origin and the axes' tips, (3, 2)."""
     for tip, name in zip(seen[1:], "xy"):
         end = seen[0] + length * (tip - seen[0])
         arrow = {"arrowstyle": "->", "linewidth": 1.3, "color": INK, "alpha": alpha, "shrinkA": 0}

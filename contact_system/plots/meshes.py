@@ -13,18 +13,18 @@ from ..plan import Plan
 from ..surfaces import Surface
 
 CELLS = 96  # of a surface's mesh in each coordinate
-UNBOUNDED = 50  # sizes; a larger implicit surface is not closed
+UNBOUNDED = 50  # sizes; an implicit surface with a larger mesh is taken not to be closed
 
 
 @dataclass
 class Mesh:
-    """A surface on a grid of this shape: points and normals, (n, 3)."""
+    """Points and normals, (n, 3), of a surface on a grid of this shape."""
 
     surface: Surface
     shape: tuple[int, int]
     points: np.ndarray
     normals: np.ndarray
-    whole: bool  # a whole closed surface; else a part of it around the curves
+    whole: bool  # whether it is the whole closed surface, not only the part around the curves
 
     @property
     def grid(self) -> np.ndarray:
@@ -53,7 +53,7 @@ class Mesh:
 
 
 def _triangles(grid: np.ndarray) -> np.ndarray:
-    """Triangles of grids of points' indices (..., n, m): (k, 3)."""
+    """Triangles (k, 3) of grids of indices of points (..., n, m)."""
     a, b = grid[..., :-1, :-1], grid[..., 1:, :-1]
     c, d = grid[..., 1:, 1:], grid[..., :-1, 1:]
     return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
@@ -69,7 +69,7 @@ def mesh_of(plan: Plan, side: int, contacts: Sequence[int], cells: int = CELLS) 
         try:
             u, v = np.meshgrid(*(np.linspace(*span, cells + 1) for span in spans), indexing="ij")
             points, frames = surface.point_and_frame(u, v)
-        except ContactSystemError:  # an implicit surface that some rays of its chart do not meet
+        except ContactSystemError:  # an implicit surface that some rays from its centre miss
             continue
         normals = frames[..., 2].reshape(-1, 3)
         mesh = Mesh(surface, u.shape, points.reshape(-1, 3), normals, whole and closed)

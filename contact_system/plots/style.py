@@ -13,7 +13,7 @@ INK = "#2b2f36"
 GREY = "#5a6370"
 # Lists, as matplotlib 3.8 takes a tuple of two as a colour and its opacity.
 BODY = ["#8f9aa6", "#f3f5f7"]  # a surface turned away from the light, and towards it
-HOLLOW = ["#6d7884", "#b9c2cb"]  # the back of a surface with an edge
+HOLLOW = ["#6d7884", "#b9c2cb"]  # the same for its back
 
 STYLE = {
     "font.size": 11,

@@ -1,4 +1,4 @@
-"""Sweeps: many scenes planned on any executor; results as one table, and failures."""
+"""Sweeps: many scenes planned on any executor; the results are one table, and failures."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ __all__ = ["Failure", "Sweep", "sweep"]
 class Sweep:
     """Results of :func:`sweep`; iterating yields the table of each chunk, in order.
 
-    With a folder, results are read from its files at each access; a ContactSystemError names a file
-    that was removed or damaged since.
+    If the sweep has a folder, each access reads results from its files, and a ContactSystemError
+    names a file that was removed or damaged since.
     """
 
     def __init__(self, parts: Mapping[int, Part | Path]):
@@ -56,8 +56,8 @@ class Sweep:
     def table(self) -> np.ndarray:
         """Structured array, one row for each contact: scene, contact, name, and the outputs.
 
-        ``scene`` is the index in the order given; scenes in :attr:`failures` have no rows. A
-        ContactSystemError tells the first failure if all scenes failed.
+        ``scene`` is the index in the order given; scenes in :attr:`failures` have no rows. If all
+        scenes failed, a ContactSystemError tells the first failure.
         """
         table = joined(list(self))
         if not len(table) and (failures := self.failures):
@@ -95,9 +95,9 @@ def sweep(
         calls it, and an error it raises is a failure of that scene.
     evaluate : callable
         Takes a Plan and returns a dict of arrays with one row for each contact of the plan,
-        (n_contacts, ...). The plan may hold the contacts of many scenes, as those that differ only
-        in contacts and values of disturbances are planned together; treat each contact on its own.
-        An error it raises is a failure of the scene.
+        (n_contacts, ...). Scenes that differ only in contacts and values of disturbances are
+        planned together, so the plan may hold the contacts of many scenes: treat each contact on
+        its own. An error it raises is a failure of the scene.
     each : bool
         True: ``evaluate`` takes each Scene by itself, and nothing is planned. For slow functions
         such as ``drake_plant.outcome``. Rows are the scene's contacts.
@@ -106,10 +106,10 @@ def sweep(
         Chunks lost with a worker are done again, and a broken process pool is replaced.
     folder : path, optional
         Keep the results of each chunk in a file there, not in memory. The same call continues an
-        interrupted sweep: chunks are skipped if their scenes (or the contents of their files), the
-        tolerance and the name of ``evaluate`` are unchanged, and the numbers, texts, tuples,
-        arrays and parts of scenes that it encloses or has as defaults of arguments. A lambda has
-        no name. Files are named and checked by digests: sweeps may share a folder, even at the same
+        interrupted sweep: it skips chunks of which the scenes (or the contents of their files), the
+        tolerance, the name of ``evaluate``, and the numbers, texts, tuples, arrays and parts of
+        scenes in its closure and defaults of arguments are unchanged. A lambda, having no name, is
+        refused. Files are named and checked by digests: sweeps may share a folder, even at the same
         time, and damaged chunks are done again. Results of scenes that have changed stay there.
     chunk : int, optional
         Number of scenes that a worker takes at a time, and at most plans together; default 500, or
@@ -168,7 +168,7 @@ def sweep(
 def _unfinished(
     scenes: Iterable[Item], size: int, run: Run, folder: Path | None, parts: dict[int, Part | Path]
 ) -> Iterator[Chunk]:
-    """Chunks of the scenes without those that have results in a file, which go to ``parts``."""
+    """Chunks of scenes that have no results yet; files with results are added to ``parts``."""
     items, first, file = iter(scenes), 0, None
     while batch := tuple(itertools.islice(items, size)):
         if folder is not None:

@@ -65,7 +65,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Chunk:
-    """The scenes of one worker, the index of the first one, and the file for the results."""
+    """Scenes that a worker takes at a time, the index of the first, and the file for results."""
 
     first: int
     items: tuple[Item, ...]
@@ -76,14 +76,14 @@ Batch = list[tuple[int, Scene]]
 """Scenes of equally many contacts that can be planned as one, with their indices."""
 
 Run = functools.partial[Part]
-"""The workers' function of a chunk: `run_chunk` with its first three arguments."""
+"""The function of a chunk that workers call: `run_chunk` with its first three arguments."""
 
 
 def run_chunk(evaluate: Evaluate, tolerance: float | None, sweeper: int, chunk: Chunk) -> Part:
     """Plan and evaluate the scenes of a chunk; errors become failures in the result.
 
-    Without a tolerance nothing is planned, and each scene is evaluated by itself. ``sweeper`` is
-    the process of the sweep; this process ends with it.
+    If the tolerance is None nothing is planned, and each scene is evaluated by itself. ``sweeper``
+    is the id of the sweep's process; this process ends with it.
     """
     end_with(sweeper)
 
@@ -123,9 +123,9 @@ def run_chunk(evaluate: Evaluate, tolerance: float | None, sweeper: int, chunk: 
 
 
 def end_with(sweeper: int) -> None:
-    """If this process is a worker of a sweep in another process, let it end together with that one.
+    """If this process is a worker of a sweep in another process, let it end when that one does.
 
-    Otherwise it would wait for work forever, as it holds the other end of its queue itself.
+    Otherwise it would wait for work forever: it holds both ends of its queue, so it sees no end.
     """
     if os.getpid() == sweeper or any(thread.name == WATCH for thread in threading.enumerate()):
         return
@@ -166,7 +166,7 @@ def _shared(scene: Scene) -> tuple:
 def _together(batch: Batch) -> Scene:
     """The contacts of a batch, in order, as one scene.
 
-    Its parts were checked in their own scenes. Checking them again would slow down a sweep of
+    Its parts were checked in their own scenes; to check them again would slow down a sweep of
     disturbed scenes by a seventh.
     """
     contacts: list[Contact] = []

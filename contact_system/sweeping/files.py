@@ -70,8 +70,8 @@ def digest(run: Run, first: int, items: tuple[Item, ...]) -> str:
 
 
 def _enclosed(function: Callable) -> str:
-    """The numbers, texts, tuples, arrays and parts of scenes that a function encloses, or has as
-    defaults of its arguments, as text. Lists and tables may be what it writes to."""
+    """The numbers, texts, tuples, arrays and parts of scenes in a function's closure and defaults
+    of arguments, as text. Lists and dicts are left out, as the function may write to them."""
     found = [*(getattr(function, "__defaults__", None) or ())]
     found += (getattr(function, "__kwdefaults__", None) or {}).values()
     for cell in getattr(function, "__closure__", None) or ():

@@ -1,4 +1,4 @@
-"""Runs a sweep's chunks on an executor, also when workers are lost."""
+"""Runs a sweep's chunks on an executor, and again those that are lost with a worker."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def spread(
 ) -> Generator[tuple[Chunk, Part]]:
     """Run chunks on an executor, at most ``ahead`` at a time.
 
-    Chunks lost with a worker run again at the end, together. Those that are lost again then run one
-    at a time; the scenes of one that is lost even so become failures, which no file keeps: the next
-    sweep tries them again, perhaps with more memory.
+    Chunks that are lost with a worker run again at the end, several at a time; those lost again run
+    one at a time. The scenes of a chunk that is lost even then become failures, which are not put
+    in a file: the next sweep tries them again, perhaps with more memory.
     """
     pools = [executor]  # and its replacements
 
@@ -41,7 +41,7 @@ def spread(
         pools.append(futures.ProcessPoolExecutor(*(getattr(executor, name) for name in names)))
         return pools[-1].submit(run, chunk)
 
-    # a worker without a chunk must end with the sweep, too
+    # a worker that never gets a chunk must end with the sweep, too
     if isinstance(executor, futures.ProcessPoolExecutor):
         pool: Any = executor
         if pool._initializer is not _begin:
@@ -91,7 +91,7 @@ def _begin(sweeper: int, initializer: Callable | None, arguments: tuple) -> None
 
 
 def _outcome(future: Future) -> Part | Exception:
-    """The part, or the error that says that the worker is gone; any other error is raised."""
+    """The part, or the error of a lost worker; any other error is raised."""
     try:
         return future.result()
     except (futures.BrokenExecutor, futures.CancelledError) as error:
