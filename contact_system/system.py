@@ -68,7 +68,7 @@ class SceneSystem:
         ``help(contact_system.system)`` explains both, and t, x, w, held and p. Default: "frame" if
         the scene has legs, sigma = 0 or a surface without a chart, else "chart".
     disturbance_input : bool
-        Whether w has disturbances of every contact as inputs, not only those of the scene.
+        Whether w may hold any disturbances, of every contact, not only those of the scene.
 
     Attributes
     ----------
@@ -456,7 +456,7 @@ def _frames(bodies: Sequence[Surface], start: Any, ambient: Sequence[bool]) -> l
     places = start.finger_at, start.object_at
     for body, at, frame, turn, in_its_space in zip(bodies, places, known, turns, ambient):
         if not in_its_space:
-            x += [*at[:2], sum(at[2:], turn)]
+            x += [*at[:2], sum(at[2:], turn)]  # the place of a Moment is u, v, theta
         else:
             x += _turned_frame(body, frame, turn) if frame else _first_frame(body, at, turn)
     return x

@@ -99,21 +99,21 @@ class Buffer:
 
     def _rows(self, scene: Scene, begin: float, starts: Starts | None) -> list[bytes]:
         """One row for each contact: its finger, start, disturbances and legs."""
-        places: Sequence[Any] = starts or scene.contacts
-        windows, frames, rows = _windows(scene, begin), _solved_frames(scene, places), []
+        begins: Sequence[Any] = starts or [contact.start() for contact in scene.contacts]
+        windows, solved, rows = _windows(scene, begin), _solved_frames(scene, begins), []
         legs: dict[Sequence[Leg], tuple[int, int]] = {}
-        for i, (contact, start) in enumerate(zip(scene.contacts, places)):
+        for i, (contact, start) in enumerate(zip(scene.contacts, begins)):
             own, index = windows.get(i, ()), 0
             if own:
                 index = self._put([x for d in own for x in (d.slot, d.start, d.stop, *d.value)])
             if contact.legs not in legs:
                 legs[contact.legs] = self._legs(scene.way(i))
-            finger_at, object_at, angle, w1, second, *known = start if starts else contact.start()
-            theta = () if known else (0.0,)
-            one, other = known or frames.get(i, ((), ()))
+            finger_at, object_at, angle, w1, w2_or_v, *frames = start
+            theta = () if frames else (0.0,)  # the places of a Moment are u, v, theta
+            frame_1, frame_2 = frames or solved.get(i, ((), ()))
             flags = (isinstance(start, Moment), contact.follows, index, len(own))
-            place = (*finger_at, *theta, *object_at, *theta, angle, *w1, *second)
-            both = *(one or _NO_FRAME), *(other or _NO_FRAME)
+            place = (*finger_at, *theta, *object_at, *theta, angle, *w1, *w2_or_v)
+            both = *(frame_1 or _NO_FRAME), *(frame_2 or _NO_FRAME)
             finger = self._body(contact.finger)
             rows.append(_ROW(*finger, *flags, *legs[contact.legs], *place, *both))
         return rows

@@ -35,17 +35,17 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
     a, b, wanted = a * half, b * half.conjugate() / r, 2 * turned * moved
     first = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 361)  # directions of the first roll
     way = np.exp(1j * first)
-    s1 = np.arctan2(-a.imag, (way * b.conjugate()).imag)
+    s1 = np.arctan2(-a.imag, (way * b.conjugate()).imag)  # half its angle; one roll, s2, is left
     s1 -= math.pi * np.round(s1 / math.pi)
     real = (np.cos(s1) * a + np.sin(s1) * way * b.conjugate()).real
     rest = (np.cos(s1) * b - np.sin(s1) * way * a.conjugate()) * np.where(real < 0, -1.0, 1.0)
     s2, second = np.arctan2(np.abs(rest), np.abs(real)), np.angle(rest)
     rolled = cmath.rect(2 * r, -psi) * (s1 / way + s2 * np.exp(-1j * second))
     left = wanted - rolled
-    times = np.ceil(np.abs(left) / (4 * math.pi * r))
-    k = int(np.argmin(np.abs(s1) + s2 + 2 * math.pi * times))
+    revolutions = np.ceil(np.abs(left) / (4 * math.pi * r))
+    k = int(np.argmin(np.abs(s1) + s2 + 2 * math.pi * revolutions))
 
-    whole = 2 * math.pi * r * float(times[k])
+    whole = 2 * math.pi * r * float(revolutions[k])  # length of each of the last two rolls
     open_by = math.acos(min(1.0, abs(left[k]) / (2 * whole))) if whole else 0.0
     ahead = -psi - cmath.phase(left[k])
     ways = np.array([first[k], second[k], ahead - open_by, ahead + open_by])

@@ -238,7 +238,7 @@ class Table(TableData):
             values = _Values(function)
         rows, live = values.rows, values.live()
         super().__init__(len(values.inputs), len(values.constants), len(values.results), twin=-1)
-        place = {k: k for k in (*values.inputs, *values.constants)}
+        place = {k: k for k in (*values.inputs, *values.constants)}  # the register of each value
         literals = [k for k in live if rows[k][0] == "LITERAL"]
         steps = [k for k in live if rows[k][0] not in LEAVES]
         kept = [*literals, *(k for k in steps if values.uniform[k])]
@@ -246,14 +246,14 @@ class Table(TableData):
         self.numbers = np.array([rows[k][1] for k in literals])
         self.first_out = self.first_lit + len(kept)
         place.update((k, self.first_lit + i) for i, k in enumerate(kept))
-        copies = list[Step]()
+        copies = list[Step]()  # results that have a register already, such as an input
         for i, k in enumerate(values.results):
             if k in place:
                 copies.append(("ASSIGN", self.first_out + i, [place[k]]))
             else:
                 place[k] = self.first_out + i
-        last = {j: k for k in steps for j in rows[k][1:]}
-        free: list[int] = []
+        last = {j: k for k in steps for j in rows[k][1:]}  # the last step that reads each value
+        free: list[int] = []  # registers of temporaries that no later step reads
         self.n_regs = first_free = self.first_out + self.n_out
         prologue, body = list[Step](), list[Step]()
         for k in steps:
