@@ -45,7 +45,7 @@ from .theory.gain import LAWS, Gain
 PROGRAM = "contact-system"
 GROUP = "contact_system.commands"
 
-Laws = dict[Plan, list[Rejection]]
+Plans = dict[Plan, list[Rejection]]
 """Plans of one scene under different gain laws, each with the rejection of slip per contact."""
 
 
@@ -178,15 +178,15 @@ def _run(args: argparse.Namespace) -> int:
     scene = _scene_of(args)
     with Progress(2, "planning") as progress:
         planned = plan(scene, args.tolerance, args.method)
-        laws = {planned: rejections(planned)}
+        plans = {planned: rejections(planned)}
         progress.step("planning under another gain law")
         # the printed gain law misses the paper's reported times: show the one that may give them
-        if scene.gain.law == "path" and any(r.as_reported is False for r in laws[planned]):
+        if scene.gain.law == "path" and any(r.as_reported is False for r in plans[planned]):
             scene = scene.replace(gain=Gain.time(scene.gain.value))
             other = plan(scene, args.tolerance, args.method)
-            laws[other] = rejections(other)
-    tell(*_report(laws))
-    _write(args, results_folder(args, scene) / file_name(scene), *laws)
+            plans[other] = rejections(other)
+    tell(*_report(plans))
+    _write(args, results_folder(args, scene) / file_name(scene), *plans)
     return 0
 
 
@@ -306,50 +306,50 @@ def written(
 # --- report ------------------------------------------------------------------------------------
 
 
-def _report(laws: Laws) -> Iterable[str]:
-    planned = next(iter(laws))
+def _report(plans: Plans) -> Iterable[str]:
+    planned = next(iter(plans))
     scene = planned.scene
     yield paragraph(f"{scene.name or 'scene'}: {scene.description}".rstrip(": "))
     yield ""
-    if any(r.peak > 0 for found in laws.values() for r in found):
-        yield from _slip_table(laws)
+    if any(r.peak > 0 for found in plans.values() for r in found):
+        yield from _slip_table(plans)
         yield paragraph(
             "From: the end of the contact's last disturbance, or the start. Below "
             f"{REJECTED:.0%}: time from then until slip stays below {REJECTED:.0%} of its value "
             "then, or of its peak where it is zero then."
         )
-        verdict = [paragraph(text) for text in _verdict(laws, scene)]
+        verdict = [paragraph(text) for text in _verdict(plans, scene)]
         yield from ("", *verdict, *_contraction(scene)[not verdict :])
     else:
         yield "No slip: every contact rolls or rests throughout."
     yield from (*_great_circles(planned), *_overlaps(planned), "")
 
 
-def _slip_table(laws: Laws) -> Iterable[str]:
+def _slip_table(plans: Plans) -> Iterable[str]:
     """Slip of every contact, a table for each law."""
     head = [("contact", ""), ("start", "m/s"), ("peak", "m/s"), ("at", "s"), ("end", "m/s")]
     head += [("from", "s"), (f"below {REJECTED:.0%}", "s"), ("paper", "s"), ("as reported", "")]
-    if not any(r.reported > 0 for found in laws.values() for r in found):  # no paper's scene
+    if not any(r.reported > 0 for found in plans.values() for r in found):  # no paper's scene
         head = head[:-2]
-    for law, found in laws.items():
-        yield f"gain {plots.gain_text(law.scene.gain)}:"
-        rows = [_slip_row(law, r)[: len(head)] for r in found]
+    for planned, found in plans.items():
+        yield f"gain {plots.gain_text(planned.scene.gain)}:"
+        rows = [_slip_row(planned, r)[: len(head)] for r in found]
         yield from (*table(head, rows, 1), "")
 
 
-def _slip_row(law: Plan, r: Rejection) -> tuple[str, ...]:
+def _slip_row(planned: Plan, r: Rejection) -> tuple[str, ...]:
     start = r.start if r.start > 1e-16 * r.peak else 0.0  # less is rounding
     slip = f"{start:.3e}", f"{r.peak:.3e}", f"{r.peak_time:.3f}", f"{r.end:.3e}"
     timing = ("-", "-", "-", "-")
     if not math.isnan(r.time):
-        taken = f"{r.time:.4f}" if math.isfinite(r.time) else f"> {law.end - r.since:g}"
+        taken = f"{r.time:.4f}" if math.isfinite(r.time) else f"> {planned.end - r.since:g}"
         reported = "-" if math.isnan(r.reported) else f"{r.reported:g}"
         answer = {True: "yes", False: "no", None: "-"}[r.as_reported]
         timing = f"{r.since:g}", taken, reported, answer
-    return law.scene.contact_name(r.contact), *slip, *timing
+    return planned.scene.contact_name(r.contact), *slip, *timing
 
 
-def _verdict(laws: Laws, scene: Scene) -> Iterable[str]:
+def _verdict(plans: Plans, scene: Scene) -> Iterable[str]:
     """What the paper reports, and whether the gain laws reproduce it."""
     if "reports" not in scene.paper:
         return
@@ -360,13 +360,13 @@ def _verdict(laws: Laws, scene: Scene) -> Iterable[str]:
             "offset ends together with the offset, so there is no time to compare."
         )
         return
-    for law, found in laws.items():
+    for planned, found in plans.items():
         slipping = [r for r in found if not math.isnan(r.time)]
         if not slipping:
             continue
         compared = any(r.as_reported is not None for r in slipping)
         same = all(r.as_reported if compared else math.isfinite(r.time) for r in slipping)
-        gain = law.scene.gain
+        gain = planned.scene.gain
         yield (
             f"Gain law '{gain.law}' with {gain.parameter} = {gain.value:g} "
             f"{'reproduces' if same else 'does not reproduce'} that{' time' * compared}."

@@ -110,8 +110,8 @@ def _decay(form: Form, value: ca.SX, profile: list[ca.SX], since: ca.SX, t: ca.S
     powers: Sequence[ca.SX] = [ca.SX(1)]
     for _ in range(LAWS[form.law].power):
         powers = product(powers, profile)
-    lost = integral(powers)
-    decay = ca.exp(-value * (polynomial(lost, t) - polynomial(lost, since)))
+    exponent = integral(powers)
+    decay = ca.exp(-value * (polynomial(exponent, t) - polynomial(exponent, since)))
     for start, stop in form.growths:
         first, last = (
             ca.fmax(polynomial(profile, ca.fmin(ca.fmax(time, start), stop)), TINY)
@@ -127,13 +127,13 @@ def _chart_motion(
     """Motion in chart coordinates, where theta = 0; slope: sigma'."""
     q1, rate_1, q2, rate_2, psi = ca.vertsplit(x, [0, 2, 4, 6, 8, 9])
     shapes = [b.surface.geometry_expr(b.numbers, q) for b, q in ((tip, q1), (body, q2))]
-    tip, body, moved = tip.at(q1, 0), body.at(q2, 0), rate_2 + w[4:6]
-    velocities = tip.call("vector", rate_1), body.call("vector", moved)
+    tip, body, contact_rate = tip.at(q1, 0), body.at(q2, 0), rate_2 + w[4:6]
+    velocities = tip.call("vector", rate_1), body.call("vector", contact_rate)
     turn = reflection(ca.cos(psi), ca.sin(psi))
     slip = relative_velocity(turn, velocities[0], body.call("vector", rate_2))
     return ContactMotion(
         rate=chart_rates(shapes, x, slope / sigma, lam, w),
-        state=ca.vertcat(x[:6], moved, psi),
+        state=ca.vertcat(x[:6], contact_rate, psi),
         bodies=(tip, body),
         velocities=velocities,
         turn=turn,

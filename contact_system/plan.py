@@ -340,7 +340,7 @@ class Plan:
                 measured = on_branch(self.scene, measured, self.states(t)[0])
         offsets = acting(self.scene, t)[:, 4:]
         starts = [
-            measured_start(self.scene, i, t, *seen) for i, seen in enumerate(zip(measured, offsets))
+            measured_start(self.scene, i, t, *row) for i, row in enumerate(zip(measured, offsets))
         ]
         return Plan(self.scene, self.tolerance, self.method, self.solver, t, starts)
 

@@ -21,7 +21,7 @@ from .explanation import singular_path
 from .motion import SHAPES
 
 PARTS, ROUNDS = 16, 10  # parts of a solver's step; rounds in which parts are divided again
-ALIKE = 0.7  # least cosine of the angle by which a frame turns in a part that is not divided again
+LEAST_COSINE = 0.7  # of the angle by which a frame turns in a part that is not divided
 OUTPUTS = {
     "states": "state",
     "points": "contact_point",
@@ -155,8 +155,8 @@ class ChartContact:
                 t = np.linspace(low, high, PARTS + 1)
                 place = self._solution(t.ravel())[4 * side : 4 * side + 2]
                 frame = surface.frame(*place).reshape(*t.shape, 3, 3)
-                alike = np.einsum("...ij,...ij->...j", frame[1:], frame[:-1]).min(axis=-1)
-                k, interval = np.nonzero(~(alike > ALIKE))  # a frame at the very point is NaN
+                cosine = np.einsum("...ij,...ij->...j", frame[1:], frame[:-1]).min(axis=-1)
+                k, interval = np.nonzero(~(cosine > LEAST_COSINE))  # NaN in the very point
                 low, high = t[k, interval], t[k + 1, interval]
             if len(low):
                 u, v = self._solution(low[0])[4 * side : 4 * side + 2].tolist()

@@ -27,11 +27,11 @@ OFFSET_AND_SLIP, PUSHED, NEGLIGIBLE, FOLLOWING = range(5, 9)
 
 def lines(scene: Scene, facts: Sequence[Sequence[Fact]]) -> list[str]:
     """How each contact and interval was planned, why, and what was skipped; facts by contact."""
-    alike: dict[tuple[str, ...], list[int]] = {}
+    contacts_by_text: dict[tuple[str, ...], list[int]] = {}
     for i, of_contact in enumerate(facts):
-        alike.setdefault(tuple(_of_contact(scene, i, of_contact)), []).append(i)
+        contacts_by_text.setdefault(tuple(_of_contact(scene, i, of_contact)), []).append(i)
     result = []
-    for text, contacts in alike.items():
+    for text, contacts in contacts_by_text.items():
         names = ", ".join(map(str, contacts))
         result += [f"contact{'s' * (len(contacts) > 1)} {names}:", *text]
     return result

@@ -71,15 +71,15 @@ def plot(
     ContactSystemError
         A wrong argument, an unknown ending, or a file that cannot be written.
     """
-    laws = _plans(plan, other)
+    plans = _plans(plan, other)
     slips = plan.slip_speed(plan.sample_times()).any()
     with Picture(path, (12, 6), dpi) as figure:
         left, right = figure.subfigures(1, 2, width_ratios=(1, 0.95))
         draw_title(left, plan)
         _draw_object(left.add_axes((0.02, 0.04, 0.94, 0.80)), plan)
-        _draw_slip(right.add_axes((0.15, 0.52, 0.79, 0.42)), laws)
+        _draw_slip(right.add_axes((0.15, 0.52, 0.79, 0.42)), plans)
         _draw_finger(right.add_axes((0.04, 0.02, 0.42, 0.37)), plan)
-        _draw_key(right.add_axes((0.53, 0.01, 0.45, 0.39)), plan, laws if slips else ())
+        _draw_key(right.add_axes((0.53, 0.01, 0.45, 0.39)), plan, plans if slips else ())
 
 
 def plot_curves(plan: Plan, path: str | os.PathLike[str], dpi: int = 160) -> None:
@@ -96,17 +96,17 @@ def plot_slip(
     plan: Plan, path: str | os.PathLike[str], other: Plan | None = None, dpi: int = 160
 ) -> None:
     """Slip magnitude of each contact on a log axis beside its exact law; see :func:`plot`."""
-    laws = _plans(plan, other)
+    plans = _plans(plan, other)
     with Picture(path, (11, 5), dpi) as figure:
-        _draw_slip(figure.add_axes((0.09, 0.13, 0.62, 0.77)), laws)
-        _draw_key(figure.add_axes((0.73, 0.13, 0.26, 0.77)), plan, laws, bodies=False)
+        _draw_slip(figure.add_axes((0.09, 0.13, 0.62, 0.77)), plans)
+        _draw_key(figure.add_axes((0.73, 0.13, 0.26, 0.77)), plan, plans, bodies=False)
 
 
 def _plans(plan: Plan, other: Plan | None) -> list[Plan]:
-    laws = [plan] if other is None else [plan, other]
-    for law in laws:
-        require_plan(law)
-    return laws
+    plans = [plan] if other is None else [plan, other]
+    for one in plans:
+        require_plan(one)
+    return plans
 
 
 @contextmanager
@@ -177,18 +177,18 @@ def _entry(label: str, **style: Any) -> Any:
     return Line2D([], [], label=label, **style)
 
 
-def _draw_key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = True) -> None:
+def _draw_key(ax: Any, plan: Plan, plans: Sequence[Plan] = (), bodies: bool = True) -> None:
     """The legend, of slip under one or two gain laws, of the bodies, or of both."""
     from matplotlib.patches import Patch
 
     entries = []
-    for k, law in enumerate(laws):
-        text = f"gain {gain_text(law.scene.gain)}"
+    for k, one in enumerate(plans):
+        text = f"gain {gain_text(one.scene.gain)}"
         entries.append(_entry(text, color=INK, linewidth=2.2, linestyle="--" if k else "-"))
     contacts = range(len(plan.scene.contacts))
-    if laws and any(len(exact_slip(plan, i)[0]) for i in contacts):
+    if plans and any(len(exact_slip(plan, i)[0]) for i in contacts):
         entries.append(_entry("exact law", **DOTS))
-    if laws and "recovery_time" in plan.scene.paper:
+    if plans and "recovery_time" in plan.scene.paper:
         entries.append(Patch(color=RECOVERY, alpha=0.2, label="recovery time in the paper"))
     entries += contact_keys(plan.scene)
     if plan.scene.disturbances:
@@ -205,9 +205,9 @@ def _draw_key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = Tru
 # --- slip --------------------------------------------------------------------------------------
 
 
-def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
-    plan = laws[0]
-    slip = np.concatenate([_slip_lines(ax, law, dashed=k > 0) for k, law in enumerate(laws)])
+def _draw_slip(ax: Any, plans: Sequence[Plan]) -> None:
+    plan = plans[0]
+    slip = np.concatenate([_slip_lines(ax, one, dashed=k > 0) for k, one in enumerate(plans)])
     ax.set_xlim(plan.start, plan.end)
     ax.set_xlabel("time [s]")
     ax.ticklabel_format(axis="x", scilimits=(-2, 4))  # longer numbers run into each other
@@ -226,7 +226,7 @@ def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
 
 
 def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
-    """Draw one law; returns the slip drawn, (n, n_contacts), m/s."""
+    """Draw the slip of one plan and return it, (n, n_contacts), m/s."""
     t = plan.sample_times(1201)
     # slip by a rate offset jumps at an edge: also draw the slip just before
     t = np.unique(np.append(t, np.nextafter(t[np.isin(t, plan.scene.edges) & (t > plan.start)], 0)))

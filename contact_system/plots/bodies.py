@@ -79,7 +79,7 @@ def is_hidden(mesh: Mesh | None, view: np.ndarray, points: np.ndarray) -> np.nda
     corners = (mesh.points @ view)[triangles]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
-    across = np.abs(area) > 1e-9 * slack**2  # triangles seen edge-on hide nothing
+    across = np.abs(area) > 1e-9 * slack**2  # triangles projected edge-on hide nothing
     a, b, c, area = a[across], b[across], c[across], area[across]
     zero, one = np.zeros_like(area), np.ones_like(area)
     # linear functions of a point: its barycentric coordinates, and how much nearer the triangle is
@@ -90,9 +90,9 @@ def is_hidden(mesh: Mesh | None, view: np.ndarray, points: np.ndarray) -> np.nda
     offsets = np.stack([zero, zero, one, -slack * one]) - np.einsum("kim,mi->km", slopes, a)
     low, high = corners[across, :, :2].min(1), corners[across, :, :2].max(1)
     for first in range(0, len(points), 16):  # neighbouring points, near to few triangles
-        seen = points[first : first + 16] @ view
-        near = ((low <= seen[:, :2].max(0)) & (high >= seen[:, :2].min(0))).all(1)
-        covers = seen @ slopes[:, :, near] + offsets[:, None, near] >= 0
+        projected = points[first : first + 16] @ view
+        near = ((low <= projected[:, :2].max(0)) & (high >= projected[:, :2].min(0))).all(1)
+        covers = projected @ slopes[:, :, near] + offsets[:, None, near] >= 0
         hidden[first : first + 16] = covers.all(0).any(1)
     return hidden
 
@@ -141,7 +141,7 @@ def _draw_outline(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
     ax.add_collection(LineCollection(pairs, **style))
 
 
-def _draw_curve(ax: Any, seen: np.ndarray, curve: Curve, hidden: np.ndarray) -> None:
+def _draw_curve(ax: Any, projected: np.ndarray, curve: Curve, hidden: np.ndarray) -> None:
     """A projected curve, (n, 3), with an arrowhead at its end."""
     for disturbed in (False, True):
         colour = DISTURBED if disturbed else curve.colour
@@ -152,16 +152,16 @@ def _draw_curve(ax: Any, seen: np.ndarray, curve: Curve, hidden: np.ndarray) -> 
             style |= {"color": colour, "zorder": 3 if behind else 4 + disturbed}
             chosen = (curve.disturbed == disturbed) & (hidden == behind)
             chosen[1:] |= chosen[:-1]  # join with the next run
-            line = np.where(chosen[:, None], seen, np.nan)
+            line = np.where(chosen[:, None], projected, np.nan)
             ax.plot(*line.T[:2], solid_capstyle="round", **style)
-    seen = seen[:, :2]
-    away = np.linalg.norm(seen - seen[-1], axis=1)
-    far = np.flatnonzero(away > 0.01 * np.ptp(seen, axis=0).max())
+    projected = projected[:, :2]
+    away = np.linalg.norm(projected - projected[-1], axis=1)
+    far = np.flatnonzero(away > 0.01 * np.ptp(projected, axis=0).max())
     if len(far):
         colour = DISTURBED if curve.disturbed[-1] else curve.colour
         arrow: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 16, "linewidth": 0}
         arrow |= {"shrinkA": 0, "shrinkB": 0, "color": colour, "alpha": 0.4 if hidden[-1] else 1.0}
-        ends = seen[-1], seen[far[-1]]
+        ends = projected[-1], projected[far[-1]]
         ax.annotate("", *ends, zorder=6, annotation_clip=False, arrowprops=arrow)
 
 
@@ -187,13 +187,13 @@ def _draw_legs(ax: Any, mesh: Mesh | None, view: np.ndarray, curve: Curve) -> No
         ax.text(*(middle @ view)[:2], str(k + 1), **style)
 
 
-def _draw_frame(ax: Any, seen: np.ndarray, length: float, alpha: float) -> None:
+def _draw_frame(ax: Any, projected: np.ndarray, length: float, alpha: float) -> None:
     """Draw two axes of a projected frame, which is its origin and the axes' tips, (3, 2)."""
-    for tip, name in zip(seen[1:], "xy"):
-        end = seen[0] + length * (tip - seen[0])
+    for tip, name in zip(projected[1:], "xy"):
+        end = projected[0] + length * (tip - projected[0])
         arrow = {"arrowstyle": "->", "linewidth": 1.3, "color": INK, "alpha": alpha, "shrinkA": 0}
-        ax.annotate("", end, seen[0], zorder=7, annotation_clip=False, arrowprops=arrow)
-        place = seen[0] + 1.25 * length * (tip - seen[0])
+        ax.annotate("", end, projected[0], zorder=7, annotation_clip=False, arrowprops=arrow)
+        place = projected[0] + 1.25 * length * (tip - projected[0])
         ax.text(*place, name, size=8, ha="center", va="center", color=INK, alpha=alpha, zorder=7)
 
 

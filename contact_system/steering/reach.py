@@ -187,7 +187,7 @@ class _Search:
                     rolls = None if legs else self._four_rolls(route.length)
                     how = f"{n} leg{'s' * (n > 1)}, {(batch + 1) * LANES} starts"
                     return self._shorter(rolls or route, counts, until), how
-            if counts[0] < self.aim.fewest or self._alike():
+            if counts[0] < self.aim.fewest or self._same_curvature():
                 break
         raise SceneError(self._refusal(counts, batches.stop * LANES))
 
@@ -299,12 +299,12 @@ class _Search:
             why += (
                 ": paths without slip do, but slip leads off them; raise the gain, or let it roll"
             )
-        elif self._alike(0.02):
+        elif self._same_curvature(0.02):
             why = (
-                f"the finger and the object have {'' if self._alike() else 'almost '}the same "
-                "Gaussian curvature everywhere, so that a place on one body determines the place "
-                "on the other, and the angle; choose sizes that differ by more than 2 %, or leave "
-                "parts of the goal out"
+                "the finger and the object have "
+                f"{'' if self._same_curvature() else 'almost '}the same Gaussian curvature "
+                "everywhere: a place on one body determines that on the other, and the angle; "
+                "choose sizes that differ by more than 2 %, or leave parts of the goal out"
             )
         elif self.aim.is_pose:
             why += "; do the bodies touch in that pose, from outside?"
@@ -321,7 +321,7 @@ class _Search:
             f"{self.nearest:.2g} (in sizes, rad) off"
         )
 
-    def _alike(self, part: float = 0.0) -> bool:
+    def _same_curvature(self, part: float = 0.0) -> bool:
         """Whether K_1 = K_2 everywhere: rolling cannot reach all goals (theory section 11).
 
         part: greatest difference of two balls' radii, as a fraction of the object's.

@@ -178,14 +178,14 @@ class Pairs:
         self.uv, self.x = np.split(first.reshape(-1, 5), [2], axis=1)
         self.uv_b, self.b = np.split(last.reshape(-1, 5), [2], axis=1)
         self.chord = np.linalg.norm(self.b - self.x, axis=1)
-        frame, self.lost = self._frames(self.uv)
-        if not self.follow.space and (self.lost | self._frames(self.uv_b)[1]).any():
+        frame, self.singular = self._frames(self.uv)
+        if not self.follow.space and (self.singular | self._frames(self.uv_b)[1]).any():
             raise SurfaceError(
                 f"{surface!r}: there is no contact frame at a or b, such as at a pole; move the "
                 "point a little, or write the surface as an ImplicitSurface"
             )
-        if self.lost.any():
-            frame[self.lost] = self._some_frame(self.x[self.lost])
+        if self.singular.any():
+            frame[self.singular] = self._some_frame(self.x[self.singular])
         self.p, self.q = frame[..., 0], frame[..., 1]
 
     def start(self, which: Array, phi: Array) -> Array:
@@ -199,7 +199,7 @@ class Pairs:
         """The result for directions and lengths at a."""
         tangent = np.cos(phi)[:, None] * self.p + np.sin(phi)[:, None] * self.q
         direction = np.where(
-            self.lost, math.nan, np.remainder(phi + math.pi, 2 * math.pi) - math.pi
+            self.singular, math.nan, np.remainder(phi + math.pi, 2 * math.pi) - math.pi
         )
         start = self.start(np.arange(len(phi)), phi)
         numbers = _shaped(s, shape), _shaped(direction, shape)

@@ -324,14 +324,14 @@ class Surface:
             return
         m = self.metric_root(u, v)
         least = np.minimum(m[..., 0, 0], m[..., 1, 1])
-        lost = ~(least > SINGULAR * self.size)
-        if np.any(lost):
-            at = (float(u[lost][0]), float(v[lost][0]))
+        singular = ~(least > SINGULAR * self.size)
+        if np.any(singular):
+            at = (float(u[singular][0]), float(v[singular][0]))
             where = self.chart.singular_at or "a point where f_u or f_v vanishes or they align"
             raise ChartSingularity(
                 f"{self!r}: no contact frame at (u, v) = {at}, {where}; the metric root is "
-                f"{float(least[lost][0]):.3g} against a size of {self.size:.3g}. Move the contact "
-                "away from that point, or turn the body's axes so that it lies elsewhere"
+                f"{float(least[singular][0]):.3g} against a size of {self.size:.3g}. Move the "
+                "contact away from that point, or turn the body's axes so that it lies elsewhere"
             )
 
     def _numbers(self, u: ArrayLike, v: ArrayLike) -> Sequence[Array]:

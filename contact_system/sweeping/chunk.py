@@ -109,8 +109,8 @@ def run_chunk(evaluate: Evaluate, tolerance: float | None, sweeper: int, chunk: 
             scene = _scene(item)
             # the first scene is planned alone: in a batch, an axis of times as long as the number
             # of contacts could be mistaken for rows of contacts
-            same = (not alike, *_shared(scene)) if tolerance is not None else place
-            alike.setdefault(same, []).append((place, scene))
+            key = (not alike, *_shared(scene)) if tolerance is not None else place
+            alike.setdefault(key, []).append((place, scene))
         except Exception as error:  # a user's function may raise anything
             failures.append(a_failure(place, item, error))
     for batch in alike.values():
@@ -173,9 +173,9 @@ def _together(batch: Batch) -> Scene:
     disturbances: list[Disturbance] = []
     for _, scene in batch:
         for d in scene.disturbances:
-            moved = copy.copy(d)
-            vars(moved)["contact"] = int(d.contact) + len(contacts)
-            disturbances.append(moved)
+            shifted = copy.copy(d)
+            vars(shifted)["contact"] = int(d.contact) + len(contacts)
+            disturbances.append(shifted)
         contacts += scene.contacts
     one = copy.copy(batch[0][1])
     vars(one).update(contacts=tuple(contacts), disturbances=tuple(disturbances))

@@ -149,11 +149,11 @@ class InSpace(Moving):
         One Newton step along the gradient squares the distance from the surface.
         """
         # the gradient is that at x: with one on the surface a step from afar ends on the other side
-        moved = self.x - self.level * self._steepness * self.gradient
-        normal = ca.substitute(self.gradient, self.x, moved)
+        restored = self.x - self.level * self._steepness * self.gradient
+        normal = ca.substitute(self.gradient, self.x, restored)
         normal /= ca.norm_2(normal)
         first = self.first - ca.dot(self.first, normal) * normal
-        return ca.vertcat(moved, first / ca.norm_2(first))
+        return ca.vertcat(restored, first / ca.norm_2(first))
 
     def _function(self, name: str) -> ca.Function:
         if name != "start":

@@ -70,14 +70,14 @@ def chart_rates(
     _, rate_1, _, rate_2, psi = ca.vertsplit(state, [0, 2, 4, 6, 8, 9])
     d1, d2, offset = ca.vertsplit(w, 2)
     tip, body = shapes
-    moved = rate_2 + offset
+    contact_rate = rate_2 + offset
     a1 = tip.metric_root @ rate_1
     rolled = reflection(ca.cos(psi), ca.sin(psi)) @ a1
     accel_1 = growth * rate_1 + _transport(tip, rate_1, rate_1) + d1
-    accel_2 = growth * rate_2 + _transport(body, moved, rate_2) + d2
+    accel_2 = growth * rate_2 + _transport(body, contact_rate, rate_2) + d2
     accel_2 += lam * (upper_inverse(body.metric_root) @ rolled - rate_2)
-    spin = tip.torsion_form @ a1 + body.torsion_form @ (body.metric_root @ moved)
-    return ca.vertcat(rate_1, accel_1, moved, accel_2, spin)
+    spin = tip.torsion_form @ a1 + body.torsion_form @ (body.metric_root @ contact_rate)
+    return ca.vertcat(rate_1, accel_1, contact_rate, accel_2, spin)
 
 
 def _transport(shape: ChartGeometry, along: ca.SX, vector: ca.SX) -> ca.SX:
