@@ -22,7 +22,7 @@ EVALUATIONS = 120_000
 """Evaluations of the chart equations in a plan of ``method="chart"``: 10 us each, up to 100 us more
 with an implicit solver."""
 STRIPS = 10_000
-"""Strips between neighbouring directions that a search for geodesics from one point looks at; each
+"""Strips between neighbouring directions that a search for geodesics from one point examines; each
 takes up to 5 ms. A search needs many where the least radius of curvature is tiny, or on a surface
 with many waves between the points."""
 PLAN_BYTES = 5e7

@@ -156,7 +156,7 @@ class ChartContact:
                 place = self._solution(t.ravel())[4 * side : 4 * side + 2]
                 frame = surface.frame(*place).reshape(*t.shape, 3, 3)
                 cosine = np.einsum("...ij,...ij->...j", frame[1:], frame[:-1]).min(axis=-1)
-                k, interval = np.nonzero(~(cosine > LEAST_COSINE))  # NaN in the very point
+                k, interval = np.nonzero(~(cosine > LEAST_COSINE))  # NaN at the point itself
                 low, high = t[k, interval], t[k + 1, interval]
             if len(low):
                 u, v = self._solution(low[0])[4 * side : 4 * side + 2].tolist()

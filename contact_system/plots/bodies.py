@@ -79,7 +79,7 @@ def is_hidden(mesh: Mesh | None, view: np.ndarray, points: np.ndarray) -> np.nda
     corners = (mesh.points @ view)[triangles]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
-    across = np.abs(area) > 1e-9 * slack**2  # triangles projected edge-on hide nothing
+    across = np.abs(area) > 1e-9 * slack**2  # triangles seen edge-on hide nothing
     a, b, c, area = a[across], b[across], c[across], area[across]
     zero, one = np.zeros_like(area), np.ones_like(area)
     # linear functions of a point: its barycentric coordinates, and how much nearer the triangle is

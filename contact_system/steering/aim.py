@@ -55,7 +55,7 @@ class Aim(Steer):
     regions : list of Region
         Where the contact must stay.
     sizes : list of float
-        Sizes of the bodies, m; of a plane that of the other body.
+        Sizes of the bodies, m; for a plane, that of the other body.
     far : float
         Straight distance to the goal, for a pose to its origin, in lengths of s, m.
     """
@@ -82,7 +82,7 @@ class Aim(Steer):
         widths = [region.widest for region in self.regions]
         unit = min([self._turning_length(*curvatures), *widths]) / self.pace
         self.unit = max(unit, 0.05 * self.far)  # far goals take long steps
-        self.size = min(self.sizes)  # a greater one weighs places too little beside angles
+        self.size = min(self.sizes)  # with a greater one places would weigh too little
         self.longest = (1 - 1e-10) * (longest or 0.0)  # paths keep to it within 1e-12 or so
         self.parts = PARTS if self.regions else 1
         self.turns, self.is_pose = self.pose is not None, goal.pose is not None

@@ -19,7 +19,7 @@ SETTLED = 1e-9
 """Change of the enclosed areas, rad, at which sums have converged: each has about twice as many
 digits as the one before."""
 PARTS = [2**k for k in range(6, 17)]
-"""Numbers of parts of a leg over which areas are summed, one after the other."""
+"""Numbers of parts of a leg over which areas are summed, tried in this order."""
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@ r"""The base class of surfaces: chart, inverse chart, level function and metric 
 
 A surface is defined in symbols (``*_expr`` methods, CasADi SX), which are lowered to tables of
 instructions; numerical methods run these tables and are vectorised over leading axes. A surface has
-a `Chart` and numbers for it. ``inside=True`` puts the body on the other side: the chart becomes
-``f(u, -v)`` and the level function changes sign, so that ``f_u x f_v`` still points out of the
+a `Chart` and numbers for it. ``inside=True`` puts the body on the other side, where the level
+function is positive; the chart becomes ``f(u, -v)``, so that ``f_u x f_v`` still points out of the
 body. In symbols the side is a sign, -1 inside, and the first of the surface's numbers.
 
 SI units, radians.
@@ -63,9 +63,9 @@ class Surface:
     has_chart: ClassVar[bool] = True
     has_implicit: ClassVar[bool] = True
     reach: ClassVar[float] = math.inf  # longest panel, in sizes: bumps between nodes are missed
-    __match_args__: ClassVar[tuple[str, ...]]  # by dataclasses: the positional arguments
+    __match_args__: ClassVar[tuple[str, ...]]  # the positional arguments, set by dataclasses
     examples: ClassVar[tuple[tuple[Any, ...], ...]] = ()
-    """For classes whose tables are built into the engine: arguments for each structure."""
+    """Arguments for one surface of each structure, for classes with tables in the engine."""
 
     @property
     def _kind(self) -> str:

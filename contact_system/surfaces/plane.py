@@ -11,7 +11,7 @@ from .charts import Chart, Pair
 
 
 class FlatChart(Chart):
-    """(u, v, 0): the plane; lengths are coordinates."""
+    """(u, v, 0): the plane; the coordinates are lengths, m."""
 
     orthogonal = True
     developable = True

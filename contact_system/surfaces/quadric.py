@@ -195,8 +195,8 @@ def _symmetric(value: Any) -> Array:
 def _principal_chart(matrix: Array) -> tuple[type[Chart], Floats, Floats, Array]:
     """Return chart, numbers, eigenvalues and a proper rotation, columns the chart's axes."""
     diagonal = np.diag(matrix)
-    given = not np.any(matrix - np.diag(diagonal))  # exactly
-    values, vectors = (diagonal, np.eye(3)) if given else np.linalg.eigh(matrix)
+    is_diagonal = not np.any(matrix - np.diag(diagonal))  # exactly
+    values, vectors = (diagonal, np.eye(3)) if is_diagonal else np.linalg.eigh(matrix)
     # rounding decides eigh's signs: make the greatest component, of near equals the first, positive
     greatest = np.abs(vectors).round(6).argmax(axis=0)
     vectors = vectors * np.sign(vectors[greatest, range(3)])

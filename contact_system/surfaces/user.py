@@ -27,7 +27,7 @@ from .sphere import PolarChart
 CELLS = 32  # in each coordinate of the grid from whose points the search for a nearest point starts
 TRIES = 4  # most points of that grid from which the search starts, the nearest first
 NEAR = 1e-9  # of the size: distance within which points are the same
-FARTHEST = 2.0**40  # sizes from the centre in which the engine looks for the surface
+FARTHEST = 2.0**40  # sizes from the centre within which the engine searches for the surface
 
 
 class CentralChart(Chart):

@@ -117,9 +117,9 @@ class Gain:
 
     @classmethod
     def guaranteed(cls, rho: float) -> Gain:
-        """lam = max(0, sigma'/sigma) + rho: slip decays at least as fast as exp(-rho t) [1/s].
+        """lam = max(0, sigma'/sigma) + rho; rho [1/s].
 
-        Slip is below 5 % after 3/rho, for any sigma.
+        For any sigma, slip decays at least as fast as exp(-rho t): below 5 % after 3/rho.
         """
         return cls("guaranteed", rho)
 

@@ -78,7 +78,7 @@ def contact_frame(f_u: ca.SX, f_v: ca.SX, orthogonal: bool = False) -> tuple[ca.
         h_v = ca.norm_2(f_v)
         return x, f_v / h_v, ca.diag(ca.vertcat(h_u, h_v))
     along = ca.dot(x, f_v)
-    # y is f_v without its x part, normalised: the same vector as n cross x without cross products.
+    # y is f_v without its x part, normalised: this is n cross x, but takes no cross products.
     across = f_v - along * x
     h_across = ca.norm_2(across)
     metric_root = ca.vertcat(ca.horzcat(h_u, along), ca.horzcat(0, h_across))
