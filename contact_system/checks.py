@@ -214,8 +214,8 @@ def rigid_motion(
     off = max(np.abs(rotation @ rotation.T - np.eye(3)).max(), np.abs(last).max())
     if not (off <= noise and np.linalg.det(rotation) > 0 and np.isfinite(pose).all()):
         raise error(
-            f"{what} = {pose.tolist()} is no rotation and translation over the last row 0, 0, 0, "
-            "1; give X_OF, the finger's frame in the object's"
+            f"{what} = {pose.tolist()} is no rotation beside a translation, over a last row 0, 0, "
+            "0, 1; give X_OF, the finger's frame in the object's"
         )
     return pose
 

@@ -119,7 +119,7 @@ class _Reader:
             case ast.Attribute():
                 raise self.fail(node, f"write {node.attr} without the module before it")
         raise self.fail(
-            node, 'only arithmetic and known functions; a list is written as ["2*pi/3", "pi/2"]'
+            node, 'write arithmetic and known functions; a list is written as ["2*pi/3", "pi/2"]'
         )
 
     def number(self, node: ast.Constant) -> float:

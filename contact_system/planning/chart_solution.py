@@ -91,7 +91,7 @@ class ChartContact:
         contact, self._where = scene.contacts[index], f"{scene.title}, contact {index}"
         if contact.follows:
             raise SceneError(
-                f"{self._where}: imposed rolling has no chart method; use the default method"
+                f'{self._where}: method "chart" cannot impose rolling; use the default method'
             )
         disturbances = [replace(d, contact=0) for d in scene.disturbances if d.contact == index]
         alone = scene.replace(contacts=[contact], disturbances=disturbances)

@@ -37,8 +37,8 @@ def require_place(surface: Surface, u: float, v: float, place: str) -> None:
     near = surface.align(*at, u, v)
     if math.hypot(near[0] - u, near[1] - v) > 1e-9:
         raise SceneError(
-            f"{place}: (u, v) = ({u:.9g}, {v:.9g}) is outside the chart of {surface!r}; the "
-            f"same point is ({at[0]:.9g}, {at[1]:.9g}), where the rates and psi have other "
+            f"{place}: (u, v) = ({u:.9g}, {v:.9g}) is outside the chart of {surface!r}; give the "
+            f"same point as ({at[0]:.9g}, {at[1]:.9g}), where the rates and psi have other "
             "values"
         )
 

@@ -306,7 +306,7 @@ def _surface_table(surface: Surface, what: str) -> dict[str, Any]:
     if name is None:
         raise SceneError(
             f"{what} = {surface!r}: a file holds no {type(surface).__name__}; "
-            f"its surfaces are {', '.join(surfaces.KINDS)}"
+            f"give one of {', '.join(surfaces.KINDS)}"
         )
     table: dict[str, Any] = {"surface": name}
     for key in _surface_keys(name):

@@ -97,8 +97,8 @@ class Search:
                 k = which[far][0]
                 raise SurfaceError(
                     f"{self.surface!r}: no geodesic of less than {reach[far][0]:.3g} m leads from "
-                    f"{self.pairs.x[k].tolist()} to {self.pairs.b[k].tolist()}; are both on one "
-                    "connected piece of it, and does the shortest line keep off its edges?"
+                    f"{self.pairs.x[k].tolist()} to {self.pairs.b[k].tolist()}; check that both "
+                    "are on one connected piece and that the shortest line does not meet an edge"
                 )
             for k, direction, length, _ in zip(*self.within_reach(*self.fan(which, reach))):
                 if length < s[k]:

@@ -98,8 +98,8 @@ def _checked_function(p: ca.SX, arguments: list[ca.SX], value: ca.SX) -> ca.Func
     unknown = [symbol.name() for symbol in ca.symvar(value) if not ca.depends_on(inputs, symbol)]
     if unknown:
         raise SurfaceError(
-            f"the formula uses symbols of its own ({', '.join(unknown)}); give them "
-            "numbers in parameters and take them as arguments by name"
+            f"the formula uses symbols that are not its arguments ({', '.join(unknown)}); let it "
+            "take them as arguments by name, and give their numbers in parameters"
         )
     function = ca.Function("surface", [p, *arguments], [value])
     for i in range(function.n_instructions()):
@@ -125,7 +125,7 @@ def _named(parameters: Any, letters: str) -> dict[str, float]:
         # Python's parser writes a formula's names in this form, such as a micro sign as mu
         name = unicodedata.normalize("NFKC", given) if isinstance(given, str) else ""
         if not name.isidentifier() or keyword.iskeyword(name):
-            raise SurfaceError(f"parameter name {given!r} must be a plain word")
+            raise SurfaceError(f"parameter name {given!r} must be a Python name, such as r_1")
         if name in (*letters, *FUNCTIONS, *numbers):
             raise SurfaceError(
                 f"parameter name {given!r} already has a meaning in formulas; use another"
