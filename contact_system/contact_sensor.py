@@ -30,16 +30,16 @@ from .theory.geometry import number_symbols, numbers_function, upper_inverse
 from .theory.lowering import Table
 from .theory.symbols import per_structure
 
-CONFORMAL = 1e-12  # det of the relative curvature over its square, below which bodies conform
-FLAT = 1e-8  # curvature, over that of a sphere of the greater body's size, that may be rounding
+CONFORMAL = 1e-12  # det of the relative curvature over (|K_1| + |K_2|)^2, if bodies conform
+FLAT = 1e-8  # curvature times the greater body's size, below which it may be rounding
 MOST_STEPS = 200
-SETTLED = 1e3  # times the wanted step: a last step up to this may be rounding
+SETTLED = 1e3  # a last step this many times as long as wanted may still be rounding
 NOISE = 1e-2  # by which a measured rotation matrix may differ from a rotation
-NEARBY = 0.02  # of the body's size: a contact moves less between two measurements
-GRID = 25  # points in each coordinate of a finger, among which the nearest to the object is sought
-LONGEST_STEP = 0.5  # of a curved body's size, where bodies are far apart
+NEARBY = 0.02  # fraction of the body's size; contacts move less between two measurements
+GRID = 25  # points in each coordinate of a finger, of which the one nearest to the object is taken
+LONGEST_STEP = 0.5  # of Newton's method, over a curved body's size, as bodies may be far apart
 SEEN = 22  # numbers of a measurement
-# columns of what is found, those of `measured_contact` behind the next unknowns
+# columns of `Probe.found`: the results of `measured_contact` after the next unknowns
 STEP, RELATIVE, STATES, SLIP, ON_FINGER = 0, 1, slice(2, 11), slice(11, 13), slice(13, 16)
 ON_OBJECT, FRAME, NORMAL, GAP, FOUND = slice(16, 19), slice(19, 28), slice(25, 28), 36, 37
 
@@ -121,9 +121,9 @@ class Probe:
         of slip, from 0 at the object's surface to 1 at the finger's; whether slip is known, and
         then v_rel in E2, m/s, which replaces the slip of the twist.
     found : (37,)
-        Not finite where there is no contact frame. Length of the next step of Newton's method, m;
-        det of the relative curvature over its square, 0 where bodies conform; u1 v1 u1' v1' u2 v2
-        u2' v2' psi, principal values; v_rel in E2, m/s; x_1 on the finger and x_2 on the object,
+        Not finite if there is no contact frame. Length of the next step of Newton's method, m; det
+        of the relative curvature over (|K_1| + |K_2|)^2; u1 v1 u1' v1' u2 v2 u2' v2' psi, principal
+        values; v_rel in E2, m/s; x_1 on the finger and x_2 on the object,
         each in its body's frame, m; E2, column by column, in the object's frame; K_2, K_1 in E2,
         1/m; distance along the normal, negative where the bodies overlap, m.
     limits : Sensor
@@ -195,7 +195,7 @@ class Probe:
     def approach(self) -> np.ndarray:
         """A point near which bodies that are apart would touch, in O: (3,), m.
 
-        It is the nearest to the object of a grid on the finger.
+        Of a grid of points on the finger, it is the one nearest to the object.
         """
         finger, obj = self._surfaces
         turn, origin = self._pose[:, :3], self._pose[:, 3]
@@ -207,7 +207,7 @@ class Probe:
 def _unknowns(surface: Surface, x: np.ndarray, last: np.ndarray | None = None) -> np.ndarray:
     """Newton's unknowns for a point near the surface: the point, or (u, v) on a chart surface.
 
-    ``last`` are those of the last measurement. If the contact has hardly moved they are taken: a
+    If the contact has hardly moved since the last measurement, its unknowns ``last`` are taken: a
     search over the whole chart takes a hundred times as long.
     """
     if not isinstance(surface, ParametricSurface):
@@ -221,7 +221,7 @@ def _unknowns(surface: Surface, x: np.ndarray, last: np.ndarray | None = None) -
 
 
 class _Side:
-    """A body in symbols, at its unknowns: a point near it, or (u, v).
+    """A body as a function, in symbols, of its unknowns: a point near it, or (u, v).
 
     constants: sign, parameters and size. missed: distance of the point from the surface, m.
     """
@@ -312,7 +312,7 @@ def measured_contact(finger: Surface, obj: Surface) -> list[ca.SX]:
         ca.vertcat(tip.constants, body.constants),
         ca.vertcat(tip.moved(step_1), body.moved(step_2)),
         ca.norm_2(ca.vertcat(step_1, step_2, tip.missed, body.missed)),
-        relative / ca.fmax(size, flat) ** 2,  # planes, of no curvature but rounding, conform too
+        relative / ca.fmax(size, flat) ** 2,  # 0 also if both are flat to within rounding
         ca.if_else(ca.logic_and(tip.framed(), body.framed()), states, np.nan),
         slip,
         ca.vertcat(tip.x, body.x),
@@ -350,7 +350,7 @@ def _grid(finger: Surface, foot: np.ndarray, reach: float) -> np.ndarray:
 
 
 def _height(surface: Surface, origin: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Height of points (n, 3) over a body, to first order, and the vector from it: (n, 4).
+    """Height of points (n, 3) over a body to first order, and that height as a vector: (n, 4).
 
     A body given by its chart is replaced by its tangent plane below the origin.
     """

@@ -12,7 +12,7 @@ import numpy as np
 
 from contact_system import __version__
 from contact_system.contact_sensor import probes_of
-from contact_system.engine.binding import N_MOVED, SURFACES, Sensor
+from contact_system.engine.binding import N_TABLES, SURFACES, Sensor
 from contact_system.planning.motion import Buffer
 from contact_system.surfaces import Ellipsoid, Surface, Torus
 
@@ -21,7 +21,7 @@ from .variables import Table
 
 VERSION, HEADER = 20261208, 26
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
-_SURFACE, _TABLE = f"{1 + 2 * N_MOVED}q4i2d", "8i3q"
+_SURFACE, _TABLE = f"{1 + 2 * N_TABLES}q4i2d", "8i3q"
 
 
 class _Data:
@@ -138,7 +138,7 @@ def _surface(surface: Surface, data: _Data) -> list[Any]:
     """The row of a surface, by its number in the engine or with its tables."""
     if surface.table_name is not None:
         place = list(SURFACES).index(surface.table_name)
-        return [place, *[-1] * (2 * N_MOVED), *surface.traits]
+        return [place, *[-1] * (2 * N_TABLES), *surface.traits]
     tables = map(data.table, (*surface.tables.chart, *surface.tables.ambient))
     return [-1, *tables, *surface.traits]
 

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-N_MOVED = 7
+N_TABLES = 7
 OTHER = ("geometry", "inverse", "geodesic")
-"""The tables that only Python asks for, in the order of engine.h."""
+"""The tables that only Python uses, in the order of engine.h."""
 
 
 class TableData(Structure):
@@ -42,8 +42,8 @@ class SurfaceData(Structure):
         ("name", c_char_p),
         *((name, c_int32) for name in ("n_numbers", "double_cover", "closed", "may_be_singular")),
         *((name, c_double) for name in ("period_u", "period_v")),
-        ("chart", c_void_p * N_MOVED),  # of ``moved``
-        ("ambient", c_void_p * N_MOVED),
+        ("chart", c_void_p * N_TABLES),  # of ``tables``
+        ("ambient", c_void_p * N_TABLES),
         ("other", c_void_p * len(OTHER)),
     ]
 
@@ -83,7 +83,7 @@ class Fact(Structure):
 
 
 class Sensor(Structure):
-    """``sensor_t``: when Newton's method towards a contact ends."""
+    """``sensor_t``: limits of Newton's method for a measured contact."""
 
     _fields_ = [(name, c_double) for name in ("small", "most_steps", "settled", "conformal")]
 
@@ -124,12 +124,12 @@ _CALLS: dict[str, Any] = {
     "moments": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
     "facts": ctypes.CFUNCTYPE(c_int64, c_void_p, c_int64, c_int64, POINTER(Fact)),
     "run": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, c_void_p),
-    # these take a microsecond
+    # PYFUNCTYPE again: these take a microsecond, after which threads should not wait for the lock
     "load": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
     "step": ctypes.PYFUNCTYPE(None, c_void_p),
-    "along": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
+    "step_tangents": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
     "geodesics": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, *[c_void_p] * 4, c_int64, c_void_p),
-    "look": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
+    "evaluate_at": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
     "steer": ctypes.CFUNCTYPE(c_int64, c_void_p, c_int64, c_int64, *[c_void_p] * 3),
     "sign_changes": ctypes.PYFUNCTYPE(
         c_int64, POINTER(c_double), c_int64, c_int64, c_double, c_double, POINTER(c_double)

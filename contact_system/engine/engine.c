@@ -63,8 +63,8 @@ static plan_t *make_plan(const double *scene, int64_t size, const surface_t *con
   return plan;
 }
 
-/* The working memory of a call: the plan's, if `look` has made it keep one, so that an FMU's steps
-   allocate nothing; else the caller's own */
+/* The working memory of a call: the plan's, if `evaluate_at` has made it keep one, so that an FMU's
+   steps allocate nothing; else the caller's own */
 static work_t *enter(const plan_t *plan, work_t *own, failure_t *failure) {
   begin_work(own, (plan_t *)plan, failure);
   if (!plan->kept) return own;
@@ -101,7 +101,7 @@ static int evaluate(const plan_t *plan, int64_t n, const double *t, double *cons
   return leave(w);
 }
 
-static int look(plan_t *plan, double t, double *const *out, failure_t *failure) {
+static int evaluate_at(plan_t *plan, double t, double *const *out, failure_t *failure) {
   if (!plan->kept) plan->kept = calloc(1, sizeof *plan->kept);
   if (!plan->kept) return (int)(failure->code = NO_MEMORY);
   if ((out[STATES] || out[SLIP]) && anchor(plan, failure)) return (int)failure->code;
@@ -165,9 +165,9 @@ const engine_t NAME(VARIANT) = {.variant = TEXT(VARIANT),
                                 .run = run_table,
                                 .load = load_registers,
                                 .step = step,
-                                .along = along,
+                                .step_tangents = step_tangents,
                                 .geodesics = geodesics,
-                                .look = look,
+                                .evaluate_at = evaluate_at,
                                 .steer = steer,
                                 .sign_changes = sign_changes,
                                 .sense = sense,

@@ -29,7 +29,7 @@ typedef struct {
 /* The tables by which a body's contact point moves: see theory/development.py. The state is u v
    theta in the chart, x p in space; M_ tables are in both, C_ in the chart alone, A_ in space. */
 enum { IN_CHART, IN_SPACE };
-enum { M_MOTION, M_COORDINATES, M_VECTOR, M_SHAPE, C_FRAME, C_POINT, C_LAME, N_MOVED };
+enum { M_MOTION, M_COORDINATES, M_VECTOR, M_SHAPE, C_FRAME, C_POINT, C_LAME, N_TABLES };
 enum { A_SECOND = C_FRAME, A_RESTORE, A_START };
 /* the tables that only Python uses */
 enum { GEOMETRY, INVERSE, GEODESIC, N_OTHER };
@@ -43,7 +43,7 @@ typedef struct {
   int32_t n_numbers, double_cover, closed;
   int32_t may_be_singular;   /* a user's chart, whose singular points are unknown */
   double period_u, period_v; /* 0: not periodic */
-  const table_t *moved[2][N_MOVED], *other[N_OTHER];
+  const table_t *tables[2][N_TABLES], *other[N_OTHER];
 } surface_t;
 
 /* ---- the scene's buffer of doubles; where something stands is an offset from its start ---- */
@@ -155,9 +155,9 @@ typedef struct {
   double *registers;
 } program_t;
 
-/* when Newton's method towards a contact ends: see sense.c. Lengths of a step, m: `small` ends it,
-   and above `settled` it is more than rounding; so many steps; |relative curvature| of bodies that
-   conform */
+/* limits of Newton's method in sense.c. It ends after a step of at most `small`, m, or after
+   most_steps; if the last step exceeds `settled`, m, no contact was found. Bodies conform if their
+   |relative curvature| is at most `conformal`. */
 typedef struct {
   double small, most_steps, settled, conformal;
 } sensor_t;
@@ -201,34 +201,37 @@ typedef struct {
   /* a table at n points, in[n_in][n] and out[n_out][n]; constants[n_const] */
   int (*run)(const table_t *table, int64_t n, const double *in, const double *constants,
              double *out);
-  /* puts a table's literals into its registers, which hold its constants, and runs its prologue */
+  /* prepares a table's registers, in which its constants are set: puts its literals there, and runs
+     its prologue */
   void (*load)(const table_t *table, double *registers);
+  /* runs a program once */
   void (*step)(const program_t *program);
-  /* the same, and what grows along with it: a derivative for each lane of tangents[register] */
-  void (*along)(const program_t *program, double (*tangents)[L]);
+  /* the same, with tangents: derivatives of all registers in L directions, those of the inputs and
+     constants given */
+  void (*step_tangents)(const program_t *program, double (*tangents)[L]);
   /* n geodesics from start[6 or 3][n], x p or u v theta, along p over length[n], errors below
      tolerance[n] of the size: x p q J J' M M' where they end, end[13][n], NaN for those that cannot
      be followed; and unless it is NULL, x J at m equal parts, path[m][4][n], to some digits */
   int (*geodesics)(const geodesic_t *how, int64_t n, const double *start, const double *length,
                    const double *tolerance, double *end, int64_t m, double *path);
-  /* like `evaluate` at one time, and with `anchor` where STATES or SLIP need it, of plans of one
-     thread: room for tables stays with the plan */
-  int (*look)(plan_t *plan, double t, double *const *out, failure_t *failure);
+  /* `evaluate` at one time, after `anchor` if STATES or SLIP need it. The working memory stays with
+     the plan, which one thread at a time may use. */
+  int (*evaluate_at)(plan_t *plan, double t, double *const *out, failure_t *failure);
   /* paths of n legs to a goal: see steer.c */
   int64_t (*steer)(const steer_t *aim, int64_t n, int64_t count, double (*z)[L], double *off,
                    double *squares);
   /* of a polynomial: see polynomial.h */
   int64_t (*sign_changes)(const double *c, int64_t n, int64_t order, double a, double b,
                           double *found);
-  /* finds a contact by a table that is loaded and has n unknowns, its first inputs: see sense.c */
+  /* finds where bodies touch, by a loaded table whose first n inputs are the unknowns: see sense.c
+   */
   void (*sense)(const table_t *table, double *registers, int64_t n, const sensor_t *limits);
   /* distances t at which n rays, unit vectors [3][n], leave a body: see rays.c. level: a table of
      x, d -> the level function and its slope; numbers: the sign of the side, then the rays'
      centre; size: how far to look first */
   int (*rays)(const table_t *level, const double *numbers, double size, int64_t n,
               const double *ray, double *t);
-  /* u v u' v' theta in principal values to the branch of its chart on which a reference u v theta
-     lies */
+  /* moves u v u' v' theta from principal values to the branch on which a reference u v theta is */
   void (*wind)(const surface_t *surface, const double *reference, double *place);
 } engine_t;
 

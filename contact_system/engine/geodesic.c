@@ -175,7 +175,7 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
 static int load_lines(lines_t *g, const geodesic_t *how) {
   g->how = how, g->space = moves_in_space(how->surface);
   g->state = state_size(g->space), g->rows = g->state + FIELDS;
-  const table_t *const *tables = how->surface->moved[g->space];
+  const table_t *const *tables = how->surface->tables[g->space];
   const double *numbers = how->numbers;
   return load(&g->frame, tables[g->space ? A_SECOND : C_FRAME], numbers) &&
          load(g->space ? &g->restore : &g->lame, tables[g->space ? A_RESTORE : C_LAME], numbers) &&

@@ -66,7 +66,9 @@ static void load_registers(const table_t *table, double *r) {
 
 static void interpret(const code_t *k, lanes_t r) { execute(k, r[0], L, NULL); }
 static void step(const program_t *p) { execute(p->code, p->registers, 1, NULL); }
-static void along(const program_t *p, double (*d)[L]) { execute(p->code, p->registers, 1, d); }
+static void step_tangents(const program_t *p, double (*d)[L]) {
+  execute(p->code, p->registers, 1, d);
+}
 
 /* A table in registers of its own, with its constants set and its prologue run: only the inputs
    change from run to run. */

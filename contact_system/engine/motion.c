@@ -38,7 +38,7 @@ typedef struct {
 
 static unit_t *table_of(work_t *w, const body_t *b, int ambient, int table) {
   unit_t *u = &w->body[b->side][ambient][table];
-  if (!load(u, b->surface->moved[ambient][table], b->numbers)) fail(w, NO_MEMORY);
+  if (!load(u, b->surface->tables[ambient][table], b->numbers)) fail(w, NO_MEMORY);
   return u;
 }
 
@@ -60,7 +60,7 @@ static void run_one(work_t *w, const table_t *t, const double *constants, const 
   memcpy(out, r + t->first_out, (size_t)t->n_out * sizeof *out);
 }
 
-static int moves_in_space(const surface_t *s) { return s->moved[IN_SPACE][M_MOTION] != NULL; }
+static int moves_in_space(const surface_t *s) { return s->tables[IN_SPACE][M_MOTION] != NULL; }
 static int state_size(int ambient) { return ambient ? 6 : 3; }
 
 /* ---- right-hand sides ---- */
@@ -183,7 +183,7 @@ static void scales(work_t *w, int ambient, const body_t *b, const double *state,
     return;
   }
   double lame[3];
-  run_one(w, b->surface->moved[IN_CHART][C_LAME], b->numbers, state, lame);
+  run_one(w, b->surface->tables[IN_CHART][C_LAME], b->numbers, state, lame);
   const double beside = b->surface->may_be_singular ? fmax(lame[0], lame[1]) : b->size;
   for (int j = 0; j < 2; j++) scale[j] = fmax(lame[j], 1e-2 * fmin(beside, b->size)) / b->size;
   scale[2] = 1.0;
@@ -473,7 +473,7 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   if (k->body) {
     double place[5] = {m->state[0], m->state[1]};
     if (k->ambient)
-      run_one(w, k->body->surface->moved[IN_SPACE][M_COORDINATES], k->body->numbers, m->state,
+      run_one(w, k->body->surface->tables[IN_SPACE][M_COORDINATES], k->body->numbers, m->state,
               place);
     e->u = place[0], e->v = place[1];
   }

@@ -372,7 +372,7 @@ static void usual_state(work_t *w, const track_t *k, double t, double *state) {
   state_at(k, tau, x, n, found);
   for (int j = 0; j < n; j++) state[j] = found[j][0];
   if (!moves_in_space(b->surface)) return;
-  if (!k->ambient) run_one(w, b->surface->moved[IN_SPACE][A_START], b->numbers, state, state);
+  if (!k->ambient) run_one(w, b->surface->tables[IN_SPACE][A_START], b->numbers, state, state);
   restore_body(w, b, state);
 }
 

@@ -53,7 +53,7 @@ static void state_of(course_t *c, int side, double *state) {
     memcpy(state, frame, 6 * sizeof *state);
     restore_body(c->w, b, state);
   } else {
-    run_one(c->w, b->surface->moved[IN_SPACE][A_START], b->numbers, start_place(own, side), state);
+    run_one(c->w, b->surface->tables[IN_SPACE][A_START], b->numbers, start_place(own, side), state);
   }
 }
 

@@ -1,7 +1,6 @@
-/* Where bodies touch: Newton's method, with a table of contact_sensor.py that takes one step.
-
-   Its results begin with the next n unknowns, the length of the step to them, and the relative
-   curvature of the bodies. */
+/* Finds where bodies touch by Newton's method. A table, `measured_contact` of contact_sensor.py,
+   computes one step: its results begin with the next n unknowns, the length of the step to them,
+   and the relative curvature of the bodies. */
 
 static void sense(const table_t *table, double *r, int64_t n, const sensor_t *limits) {
   const double *next = r + table->first_out, *length = next + n;

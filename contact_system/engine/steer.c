@@ -398,7 +398,7 @@ static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z
     r->body = aim->body + side, r->lines.tolerance = aim->tolerance;
     if (!how) continue;
     const surface_t *s = how->surface;
-    const table_t *shape = s->moved[moves_in_space(s)][M_SHAPE];
+    const table_t *shape = s->tables[moves_in_space(s)][M_SHAPE];
     ready = ready && load_lines(&r->lines, how) && load(&r->shape, shape, how->numbers);
   }
   if (ready) search(w, count, z);

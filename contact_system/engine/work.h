@@ -99,7 +99,7 @@ struct work {
   jmp_buf jump;
   failure_t *failure;
   plan_t *plan;
-  unit_t body[2][2][N_MOVED]; /* side, ambient or not, table */
+  unit_t body[2][2][N_TABLES]; /* side, ambient or not, table */
   unit_t pair[N_CONTACT_TABLES];
   room_t one;              /* registers of tables that run at one point */
   room_t edges, series;    /* of the motion that is being integrated */
@@ -122,7 +122,7 @@ static void begin_work(work_t *w, plan_t *plan, failure_t *failure) {
 static void end_work(work_t *w) {
   for (int s = 0; s < 2; s++)
     for (int a = 0; a < 2; a++)
-      for (int t = 0; t < N_MOVED; t++) free(w->body[s][a][t].r);
+      for (int t = 0; t < N_TABLES; t++) free(w->body[s][a][t].r);
   for (int t = 0; t < N_CONTACT_TABLES; t++) free(w->pair[t].r);
   free(w->one.data), free(w->edges.data), free(w->series.data), free(w->raw.data);
 }

@@ -82,9 +82,9 @@ class Writer:
             return "&" + self._named("table_t {}", "table", self.table(table, hot))
 
         made = lowered(surface)
-        moved = [[pointer(table, True) for table in group] for group in (made.chart, made.ambient)]
+        tables = [[pointer(table, True) for table in group] for group in (made.chart, made.ambient)]
         other = [pointer(getattr(made, name), name == "geodesic") for name in OTHER]
-        return [f'"{surface.table_name}"', *surface.traits, moved, other]
+        return [f'"{surface.table_name}"', *surface.traits, tables, other]
 
     def tables(self) -> str:
         """Return tables.inc; call it before `twin_functions`."""

@@ -84,9 +84,9 @@ static void read_surfaces(model_t *m) {
                        .may_be_singular = row->may_be_singular,
                        .period_u = row->period_u,
                        .period_v = row->period_v};
-    for (int k = 0; k < 2 * N_MOVED; k++) {
+    for (int k = 0; k < 2 * N_TABLES; k++) {
       const int64_t table = row->tables[k];
-      own->moved[k / N_MOVED][k % N_MOVED] = table < 0 ? NULL : m->tables + table;
+      own->tables[k / N_TABLES][k % N_TABLES] = table < 0 ? NULL : m->tables + table;
     }
   }
 }

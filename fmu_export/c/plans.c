@@ -92,7 +92,7 @@ static int evaluate(component_t *c, long i, double t, unsigned groups) {
   if (groups & BIT(OF_POSE)) out[POSE] = pose;
   if (groups & BIT(OF_POINTS)) out[POINTS] = values_of(c, i, OF_POINTS);
   if (groups & BIT(OF_SLIP_SPEED)) out[SLIP_SPEED] = values_of(c, i, OF_SLIP_SPEED);
-  UNTRAPPED(wrong = c->engine->look(plan, t, out, &c->failure));
+  UNTRAPPED(wrong = c->engine->evaluate_at(plan, t, out, &c->failure));
   if (wrong || (groups & BIT(OF_STATES) && restart_segment(c, plan, t, &now))) return 1;
   if (groups & BIT(OF_STATES)) put_states(c->model, i, now.row, values_of(c, i, OF_STATES));
   for (int r = 0; r < 3 && out[POSE]; r++) {

@@ -101,8 +101,8 @@ static void find_result_tangents(component_t *c, long i) {
   if (any) {
     UNTRAPPED({
       double *r = load_system(c, i, c->system_tangents);
-      c->engine->along(&(program_t){t->prologue, r}, c->system_tangents);
-      c->engine->along(&(program_t){t->body, r}, c->system_tangents);
+      c->engine->step_tangents(&(program_t){t->prologue, r}, c->system_tangents);
+      c->engine->step_tangents(&(program_t){t->body, r}, c->system_tangents);
     });
     memcpy(results, c->system_tangents + t->first_out, room);
   }

@@ -19,7 +19,7 @@ static double *load_surface(component_t *c, long i, int side, const table_t *t, 
   double *r = load_table(c, t);
   memset(c->surface_tangents, 0, (size_t)t->n_regs * sizeof *c->surface_tangents);
   if (derive) memcpy(c->surface_tangents + t->n_in + 1, c->tangents + at, n * sizeof *c->tangents);
-  c->engine->along(&(program_t){t->prologue, r}, c->surface_tangents);
+  c->engine->step_tangents(&(program_t){t->prologue, r}, c->surface_tangents);
   return r;
 }
 
@@ -29,7 +29,7 @@ static double *load_surface(component_t *c, long i, int side, const table_t *t, 
 static const char *put_frame(component_t *c, long i, int side, double frame[6],
                              double (*tangents)[L]) {
   const double *starts = data_at(c->model, c->model->head->starts), *row = row_of(c->model, i);
-  const table_t *const *tables = surface_of(c->model, i, side)->moved[IN_SPACE],
+  const table_t *const *tables = surface_of(c->model, i, side)->tables[IN_SPACE],
                        *t = tables[A_START];
   const double *own =
       starts + at_of(c->model, i, OF_STATES) + (side ? frame_of(c->model, i, 0) : 0);
@@ -40,7 +40,7 @@ static const char *put_frame(component_t *c, long i, int side, double frame[6],
     double *r = load_surface(c, i, side, t, tangents != NULL);
     memcpy(r, row + (side ? K_PLACE_2 : K_PLACE_1), 2 * sizeof *r);
     r[2] = side ? 0.0 : -row[K_ANGLE];
-    c->engine->along(&(program_t){t->body, r}, c->surface_tangents);
+    c->engine->step_tangents(&(program_t){t->body, r}, c->surface_tangents);
     const int found = all_finite(r + t->first_out, 6);
     if (found) memcpy(frame, r + t->first_out, 6 * sizeof *frame);
     for (int a = 0; a < 6 && tangents && found; a++)
@@ -50,7 +50,7 @@ static const char *put_frame(component_t *c, long i, int side, double frame[6],
   memcpy(r, frame, 6 * sizeof *r);
   if (tangents) memcpy(c->surface_tangents, tangents, 6 * sizeof *tangents);
   for (int k = 0; k < 50 && change > 1e-12; k++) {
-    c->engine->along(&(program_t){t->body, r}, c->surface_tangents);
+    c->engine->step_tangents(&(program_t){t->body, r}, c->surface_tangents);
     const double *y = r + t->first_out;
     change = 0.0;
     for (int a = 0; a < 6; a++)
@@ -68,7 +68,7 @@ static const char *put_frame(component_t *c, long i, int side, double frame[6],
 
 /* u v theta of a frame in space, in principal values */
 static void find_place(component_t *c, long i, int side, const double frame[6], double place[3]) {
-  const table_t *t = surface_of(c->model, i, side)->moved[IN_SPACE][M_COORDINATES];
+  const table_t *t = surface_of(c->model, i, side)->tables[IN_SPACE][M_COORDINATES];
   double *r = load_surface(c, i, side, t, 0);
   memset(r, 0, (size_t)t->n_in * sizeof *r); /* no velocity */
   memcpy(r, frame, 6 * sizeof *r);
