@@ -23,8 +23,8 @@ from contact_system.system import COORDINATES
 
 from .hand import Hand
 
-LOOK = 0.01
-"""How often a planner looks at the distance from the plan where no period is given, s."""
+CHECK_PERIOD = 0.01
+"""How often a planner checks a `restart_distance` if no `restart_period` is given, s."""
 
 CHOICES = {
     "contact_model": ("hydroelastic", "point"),
@@ -38,12 +38,12 @@ GAINS = ("position_gain", "velocity_gain", "normal_damping", "spin_gain")
 RESTARTS = ("restart_period", "restart_distance")
 MAY_BE_0 = {"time_step", "friction", "gravity", *GAINS, "slip_gain", "restart_distance"}
 HANDS_ONLY = ("turn", "move")
-TIPS_ONLY = ("coordinates", "disturbance_input", *RESTARTS)  # that are free
+TIPS_ONLY = ("coordinates", "disturbance_input", *RESTARTS)  # only where fingertips are free bodies
 
 
 @dataclass
 class Push:
-    """A force on one body for some time.
+    """A constant force on one body from one time to another.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def _three_numbers(vector: Any, name: str) -> None:
 
 
 def body_names(scene: Scene) -> list[str]:
-    """What can be pushed: the contacts by their names, and the object."""
+    """Names of the bodies that can be pushed: those of contacts, for the fingers, and "object"."""
     return [*(scene.contact_name(i) for i in range(len(scene.contacts))), "object"]
 
 
@@ -105,8 +105,8 @@ class StationConfig:
     Drake's ``yaml_load_typed`` and ``yaml_dump_typed`` read and write it; a scene's ``[drake]``
     table and ``contact-system drake --set drake.KEY=VALUE`` have the same keys.
 
-    With a step of h the driver uses at most 0.4 m/h of what damps and 0.1 m/h^2 of what is a
-    stiffness, and of rotations with the least moment of inertia instead of m.
+    With steps of h the driver limits damping gains to 0.4 m/h and stiffnesses to 0.1 m/h^2, where m
+    is the finger's mass, or its least moment of inertia for the gain of a rotation.
 
     Parameters
     ----------
@@ -116,13 +116,13 @@ class StationConfig:
         "hydroelastic", or "point" where Drake's point contact is exact: spheres on a sphere or on
         a plane.
     discrete_contact_approximation : str
-        "sap", "lagged" or "similar". "lagged" is quicker and as true while fingers roll, but where
-        one slides in fast rolling it makes too little friction: in D1 0.88 mu N at steps of 1 ms,
-        0.74 at 1.5 ms.
+        "sap", "lagged" or "similar". "lagged" is faster and as accurate while fingers roll, but its
+        friction is too small where one slides in fast rolling: in D1 0.88 mu N at steps of 1 ms,
+        0.74 mu N at 1.5 ms.
     object : str
         "free"; "welded" to the world; "turning" as the scene prescribes it.
     object_mass : float
-        kg, spread evenly, with the mass centre at the body's origin.
+        kg, of uniform density, with the mass centre at the body's origin.
     finger_mass : float
         kg, of each finger, in the same way.
     stiffness : float
@@ -130,9 +130,9 @@ class StationConfig:
     friction : float
         Coulomb's coefficient, static and dynamic.
     normal_force : float
-        N, along the planned normal, with which every finger presses; with ``forces = "balance"`` or
-        a hand at least, and ``stiffness`` is that at the mean force of the plan, as far as it is
-        simulated.
+        N, with which every finger presses along the planned normal. With ``forces = "balance"`` or
+        a hand it is the least normal force, and ``stiffness`` is that at the mean of the planned
+        normal forces over the simulated time.
     gravity : float
         m/s^2, towards -z of the world: 9.81, without a sign.
     forces : str or None
@@ -140,39 +140,39 @@ class StationConfig:
         chooses normal and tangential forces that hold the object, which is free, against gravity.
         None: "balance" where the object is free and there is gravity, else "constant".
     friction_share : float
-        Of a balance, the part of each friction cone that it uses at most, 1 or less.
+        The greatest part of each friction cone that balancing forces use, 1 or less.
     finger_edge, object_edge : float or None
         m, edges of the meshes at the planned contacts; None: chosen by the size of the patch.
     position_gain : float
-        Of the driver, N/m, in the tangent plane.
+        N/m, of the driver's spring in the tangent plane.
     velocity_gain : float
-        N s/m, there.
+        N s/m, of its damper in the tangent plane.
     normal_damping : float
-        N s/m, along the normal; contact itself is elastic.
+        N s/m, of its damper along the normal; contact itself has no damping.
     spin_gain : float
-        N m s.
+        N m s, of its damper of rotation.
     slip_gain : float
-        lam of the slip that is measured, 1/s; 0 leaves the loop open. At most 0.8/h is used, which
-        takes away so much of the slip in a step.
+        1/s, the factor lam by which measured slip is fed back; 0 leaves the loop open. At most
+        0.8/h is used, which removes 0.8 of the slip in a step.
     coordinates : str or None
-        "chart" or "frame", of the :class:`ContactPlanner`, who chooses where it is None; "plan": a
-        :class:`PlanSource` is the planner, without states, disturbance port and restarts, exact
-        under every scheme.
+        "chart" or "frame": coordinates of the :class:`ContactPlanner`, which chooses if None.
+        "plan": a :class:`PlanSource` is the planner, exact under every scheme; it has no states,
+        disturbance port or restarts.
     disturbance_input : bool
-        Whether the planner's `disturbance` port is there, exported.
+        Whether the planner has a port `disturbance`, which the station exports.
     restart_period, restart_distance : float or None
-        Of the :class:`ContactPlanner`, s and m; without any it does not restart. Restarts have to
-        fall on steps of the plant. Slip is rejected by the driver's ``slip_gain``; a restart serves
-        where the way back to the curve is too long.
+        Of the :class:`ContactPlanner`, s and m; if both are None it does not restart. Restarts have
+        to fall on steps of the plant. Use ``slip_gain`` to reject slip, and restarts where a finger
+        is too far from the planned curve to be led back.
     pushes : list of Push
-        Where there are any, they are what the port `push` would give.
+        If there are any, they take the place of the station's port `push`.
     hand : Hand or None
-        Fingertips are on its joints, and not free (see :func:`plan_reorientation`).
+        Its joints carry the fingertips (see :func:`plan_reorientation`); None: they are free.
     turn : list of list of float
         Rotation vectors in the world, degrees, by which a hand turns the object one after another;
         the object takes the shortest way to where they lead.
     move : list of float
-        By how much it moves the object's middle, m.
+        m, by how much a hand moves the object's centre, in the world.
     """
 
     time_step: float = 1e-3
@@ -205,7 +205,7 @@ class StationConfig:
 
     @property
     def balances(self) -> bool:
-        """Whether contact forces are those that hold the object."""
+        """Whether contact forces are chosen so that they hold the object."""
         if self.forces is None:
             return self.object == "free" and self.gravity != 0
         return self.forces == "balance"
@@ -217,11 +217,11 @@ class StationConfig:
 
     @property
     def closed_loop(self) -> bool:
-        """Whether anything that is measured acts on the fingers."""
+        """Whether measured contacts are fed back, by restarts or by ``slip_gain``."""
         return self.restarts or self.slip_gain > 0
 
     def opened(self) -> "StationConfig":
-        """The same with the loop open."""
+        """The same configuration with the loop open."""
         return dataclasses.replace(self, slip_gain=0.0, restart_period=None, restart_distance=None)
 
     def check(self, scene: Scene) -> None:
@@ -263,7 +263,7 @@ class StationConfig:
         self._check_hand(scene)
 
     def _check_hand(self, scene: Scene) -> None:
-        """Refuse what a hand cannot do, and what does nothing with one, or without."""
+        """Refuse what a hand cannot do, and settings without effect with a hand or without one."""
         of_kind((list, tuple), self.turn, "turn", "lists of three numbers, degrees")
         _three_numbers(self.move, "move")
         for k, turn in enumerate(self.turn):
@@ -285,15 +285,15 @@ class StationConfig:
             raise SceneError('forces = "constant": with a hand they balance; leave it out')
 
     def _check_restarts(self) -> None:
-        """Refuse restarts between two steps of a discrete plant, whose state is that of the step's
-        end by then: a planner that starts from it would be ahead, by another time at each restart.
+        """Refuse restarts between two steps of a discrete plant: its state is that of the next step
+        already, so a planner that took it over would be ahead, each time by another time.
         """
         step, period = self.time_step, self.restart_period
-        steps = (LOOK if period is None else period) / step
+        steps = (CHECK_PERIOD if period is None else period) / step
         whole = max(1, round(steps))
-        # A restart a little before the step sees the right state; one after it, the next step's.
+        # Just before a step a restart sees the state of now; just after it, that of the next step.
         if not -1e-6 < steps / whole - 1 < 1e-9:
-            every = f" (None: {LOOK:g} s)" if period is None else ""
+            every = f" (None: {CHECK_PERIOD:g} s)" if period is None else ""
             raise SceneError(
                 f"restart_period = {period!r}{every}: restarts have to fall on steps of the plant, "
                 f"time_step = {step!r}; give restart_period = {whole * step:.9g}, or another "
@@ -327,7 +327,7 @@ class StationConfig:
 
 
 def checked(scene: Scene, config: StationConfig | None, what: str) -> StationConfig:
-    """The configuration, or what the scene's table says, that ``what`` is made from."""
+    """The given configuration, checked, or the scene's own; errors say ``what`` it is for."""
     require_scene(scene)
     if config is None:
         return StationConfig.from_scene(scene)
@@ -338,7 +338,7 @@ def checked(scene: Scene, config: StationConfig | None, what: str) -> StationCon
 
 
 def _made(kind: Any, given: Any, name: str) -> Any:
-    """A dataclass, or one from the table that a scene file has for it."""
+    """The given instance of a dataclass, or one made from a scene file's table for it."""
     if isinstance(given, kind):
         return given
     keys = [f.name for f in dataclasses.fields(kind)]

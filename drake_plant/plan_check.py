@@ -1,9 +1,9 @@
-"""What is refused while a planner is integrated.
+"""What is refused while a planner is integrated: drift off the exact plan, and singular points.
 
-Nobody controls the error of a planner's states under fixed steps, nor under cenic, which looks at
+With fixed steps nothing controls the error of a planner's states, nor does cenic, which controls
 the plant's alone (github.com/RobotLocomotion/drake/issues/23921): its Euler steps put the contacts
-of D1 3.6 mm off after 0.5 s. What the states should be is known, though: the plan tells it at any
-time, from where a simulation began or last restarted.
+of D1 3.6 mm off after 0.5 s. But the exact states are known: those of the plan from where the
+simulation began or last restarted.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from contact_system.errors import ChartSingularity, ContactSystemError, SceneErr
 from contact_system.scene import refuse_rest
 
 CLEARANCE = 0.01
-"""Distance from a chart's singularity, as a fraction of the body's size, that is refused."""
+"""A contact nearer than this to a chart's singularity is refused; a fraction of the body's size."""
 
 TOLERANCE = 1.5e-6
 """How far contact points may be off the exact plan, per metre of path and of the greater body's
-size. In D1 that is 1e-6 m at 0.5 s and 9e-6 m at its end, where runge_kutta3 is off by 5e-6 m at
-the 1 ms of a discrete plant, by 3e-4 m alone with an accuracy of 1e-3, cenic by 30 mm."""
-LOOKS = 20
-"""A scene is compared so often, evenly, and whenever the time since the start has doubled. A look
-takes 30 us."""
+size. In D1 that is 1e-6 m at 0.5 s and 9e-6 m at the end, where runge_kutta3 is off by 5e-6 m with
+the steps of 1 ms of a discrete plant, by 3e-4 m alone at an accuracy of 1e-3, cenic by 30 mm."""
+COMPARISONS = 20
+"""How often a planner is compared with the plan over a scene, besides whenever the time since the
+start has doubled; each comparison takes 30 us."""
 
 
 def exact_plan(scene: Scene, start: float, states: bytes, end: float) -> Plan | None:
-    """The plan from states at a start, or that of the scene where there are none, to an end.
+    """The plan from states (the bytes of (n, 9)) at a start, or the scene's if empty, to an end.
 
     None where there is no such plan, as from a pole or a rest.
     """
@@ -64,7 +64,7 @@ def refuse_drift(scene: Scene, plan: Plan, t: float, points: Array, tolerance: f
 
 
 def refuse_singularity(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> None:
-    """The error of the contact that is nearest to a singular point of its chart."""
+    """Raise the error for the contact that is nearest to a singular point of its chart."""
     scene, time = system.scene, float(t[0])
     values = system.evaluate("regularity", time, x, w, held).reshape(-1, 2)
     i, side = divmod(int(np.argmin(values)), 2)
@@ -82,7 +82,7 @@ def refuse_singularity(system: SceneSystem, t: Array, x: Array, w: Array, held: 
 
 
 def refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> None:
-    """The error of numbers that must not be integrated."""
+    """Raise the error that tells why states, disturbances or derivatives are not integrated."""
     scene, time = system.scene, float(t[0])
     sigma = float(scene.speeds(time).min())
     if sigma < 0:

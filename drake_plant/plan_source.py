@@ -17,13 +17,13 @@ from .lifetimes import NO_DICTIONARY
 from .planner_base import PlannerBase, scene_system
 
 PLANNED = dict(slip="slip", twist="twist", pose="pose", state="states", contact_point="points")
-"""Ports that are results of a plan, by their names there."""
+"""Ports that Plan.evaluate fills, and its names for them."""
 RATES = ("acceleration", "normal", "normal_rate")
-"""Ports that follow from a plan's moving frames."""
+"""Ports that are computed from the moving frames of a plan."""
 
 
 class PlanSource(PlannerBase, LeafSystem):
-    """What a plan says now, exactly, whatever integrates the rest of a Diagram.
+    """The outputs of a plan at the current time, exact under every integrator.
 
     .. pydrake_system::
 
@@ -31,9 +31,9 @@ class PlanSource(PlannerBase, LeafSystem):
         output_ports:
         - those of a ContactPlanner
 
-    Coordinates are continuous along the path here. There is no continuous state, so that nothing is
-    integrated and nothing converts to other scalars. No integrator steps across an edge of the
-    scene's windows or a corner of legs.
+    Unlike a ContactPlanner's in frame coordinates, chart coordinates are continuous along the path.
+    There is no continuous state, so nothing is integrated, and no conversion to other scalars. No
+    integrator steps across an edge of the scene's windows or a corner of legs.
 
     Parameters
     ----------
@@ -43,8 +43,8 @@ class PlanSource(PlannerBase, LeafSystem):
     Raises
     ------
     ContactSystemError
-        No such plan. In a simulation: a time outside the plan's horizon, a contact at a pole or an
-        umbilic where the port's numbers do not exist.
+        Not such a plan. In a simulation: a time outside the plan's horizon, a contact at a pole or
+        an umbilic where the port's numbers do not exist.
     """
 
     __slots__ = NO_DICTIONARY
@@ -64,9 +64,9 @@ class PlanSource(PlannerBase, LeafSystem):
 
     def _Parts(self, context: Any, *outputs: str) -> list[Array]:
         t, names = context.get_time(), [name for name in outputs if name in PLANNED]
-        said = self.plan.evaluate(t, *(PLANNED[name] for name in names)) if names else {}
-        found = {name: said[PLANNED[name]] for name in names}
-        if "pose" in found:  # by columns
+        results = self.plan.evaluate(t, *(PLANNED[name] for name in names)) if names else {}
+        found = {name: results[PLANNED[name]] for name in names}
+        if "pose" in found:  # the port has the rotation by columns
             found["pose"] = found["pose"][0, :, :3].swapaxes(1, 2)
         if len(names) < len(outputs):
             found |= self._Rates(t)

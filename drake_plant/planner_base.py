@@ -1,4 +1,4 @@
-"""What planners of every scalar share: ports, windows, and what follows from a system's outputs."""
+"""Base class of systems that tell how contacts move: their ports, events and outputs."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from .lifetimes import NO_DICTIONARY, weakly
 from .scalars import select
 
 EARLY = 1e-9
-"""Restarts and pushes happen so much before their time, s, as a step may come late by rounding."""
-AGES = 1e9
+"""How long before their time restarts and pushes happen, s: rounding may make a step late."""
+FOREVER = 1e9
 """Longer than any simulation, s: the period of an event that happens once."""
 PORTS = {
     "state": 9,
@@ -30,20 +30,20 @@ PORTS = {
     "normal": 3,
     "normal_rate": 3,
 }
-"""Ports of vectors, and what they hold of each contact."""
+"""Vector ports, and how many numbers they have for each contact."""
 MOTION = {"pose": 12} | {name: PORTS[name] for name in PORTS if name not in ("state", "slip")}
-"""What a FingertipDriver takes of each contact, one after the other, on one port."""
+"""The parts of a contact's row on the port `motion`, which a FingertipDriver reads."""
 
 
-# What is derived from a scene is large: planners of the same one share it.
+# A SceneSystem is large: planners of the same scene share it.
 scene_system = functools.lru_cache(maxsize=16)(SceneSystem)
 
 
-_System: Any = object  # LeafSystem_[T] comes behind it in each class
+_System: Any = object  # each subclass also derives from LeafSystem_[T]
 
 
 class PlannerBase(_System):
-    """Ports, windows and outputs of a system that tells how contacts move, of any scalar.
+    """Ports, events and outputs of a system that tells how contacts move, for any scalar T.
 
     Attributes
     ----------
@@ -53,34 +53,33 @@ class PlannerBase(_System):
     __slots__ = NO_DICTIONARY
 
     T: type = float
-    _held: Any = None  # states and ports that not all have
+    _held: Any = None  # None: this planner has no such state or port
     _disturbance: Any = None
     _measured: Any = None
     _restarts: Any = None
 
     def _Declare(self, system: SceneSystem, x0: Array | None, period: float | None) -> None:
-        """States, ports and events; period: of restarts, s."""
+        """Declare states, from x0 (None: none), ports and events; period: of restarts, s."""
         self.system, self._period, self._fed_through = system, period, {"derivatives"}
         n = len(system.scene.contacts)
         if x0 is not None:
             self.DeclareContinuousState(BasicVector_[self.T](x0))
-        # Nothing happens, but no integrator steps across an edge: a step ends before it, and the
-        # next one begins at it.
+        # These events do nothing, but integrators end a step at each: so no step crosses an edge.
         for edge in system.edges:
             for time in (max(0.0, math.nextafter(edge, -math.inf)), edge):
-                self.DeclarePeriodicPublishEvent(AGES, time, lambda context: None)
-        turns = system.corners if x0 is not None else ()
-        if len(system.held0) and x0 is not None and (turns or period is not None):
+                self.DeclarePeriodicPublishEvent(FOREVER, time, lambda context: None)
+        corners = system.corners if x0 is not None else ()
+        if len(system.held0) and x0 is not None and (corners or period is not None):
             self._held = self.DeclareDiscreteState(BasicVector_[self.T](system.held0))
-        for edge in turns:
-            self.DeclarePeriodicUnrestrictedUpdateEvent(AGES, edge, weakly(self._Turn, edge))
+        for edge in corners:
+            self.DeclarePeriodicUnrestrictedUpdateEvent(FOREVER, edge, weakly(self._Turn, edge))
         if system.disturbance_input:
             self._disturbance = self.DeclareVectorInputPort("disturbance", 6 * n)
         if period is not None:
             self._measured = self.DeclareVectorInputPort("measured_state", 9 * n)
             self._restarts = self.DeclareDiscreteState(BasicVector_[self.T](np.zeros(n)))
-            # A little early: 3 * 0.1 s comes after 300 * 1 ms in floating point, and a discrete
-            # plant that has stepped already would be measured a step ahead of the planner.
+            # A little early: in floating point 3 * 0.1 s is after 300 * 1 ms. A discrete plant
+            # would have made its step by then, and its state would be ahead of the planner's.
             first, restart = period - EARLY, weakly(self._Restart)
             self.DeclarePeriodicUnrestrictedUpdateEvent(period, first, restart)
         for name, size in (PORTS | {"motion": sum(MOTION.values())}).items():
@@ -93,14 +92,14 @@ class PlannerBase(_System):
             self.DeclareStateOutputPort("restarts", self._restarts)
 
     def Evaluate(self, context: Any, *outputs: str) -> Array:
-        """What the ports of these names say now, a row a contact; of "pose" its numbers."""
+        """The ports of these names now, side by side, a row per contact; "pose" as 12 numbers."""
         n = len(self.system.scene.contacts)
         return np.concatenate(
             [part.reshape(n, -1) for part in self._Parts(context, *outputs)], axis=1
         )
 
     def _Parts(self, context: Any, *outputs: str) -> list[Array]:
-        """Outputs of the system, each contact after contact."""
+        """The named outputs, each an array of all contacts' numbers."""
         raise NotImplementedError
 
     def _CalcVector(self, outputs: tuple[str, ...], context: Any, vector: Any) -> None:
@@ -115,7 +114,7 @@ class PlannerBase(_System):
         raise TypeError("ContactPlanner restarts with T = float only; simulate that one")
 
     def _Turn(self, edge: float, context: Any, state: Any) -> None:
-        """Contacts go on along their next legs, or without slip from a rest."""
+        """At a corner contacts turn to their next legs; at a rest their slip is dropped."""
         x, held = self._StateAndHeld(context)
         x, held = self.system.turned(edge, x, held, self._Parts(context, "carried")[0])
         state.get_mutable_continuous_state().SetFromVector(x)
@@ -129,7 +128,7 @@ class PlannerBase(_System):
         return x.CopyToVector().ravel(), held
 
     def _Prerequisites(self, *outputs: str) -> set:
-        """What outputs depend on, from the sparsity of their functions."""
+        """Tickets of what outputs depend on, by the sparsity of their functions."""
         needs = {output: self.system.depends(output) for output in outputs}
         self._fed_through |= {output for output in outputs if "w" in needs[output]}
         inputs = set().union(*needs.values())
@@ -142,9 +141,9 @@ class PlannerBase(_System):
         return found or {self.nothing_ticket()}
 
     def _Acting(self, context: Any, *outputs: str) -> list[Any]:
-        """What windows and the disturbance port add, (n_w,).
+        """The disturbances that act now, from windows and the port, (n_w,).
 
-        Outputs without feedthrough do not ask the port, which may depend on them.
+        For outputs without feedthrough the port is not evaluated, as it may depend on them.
         """
         t, port = context.get_time(), self._disturbance
         w: list[Any] = [0.0] * self.system.n_w

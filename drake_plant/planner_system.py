@@ -18,11 +18,11 @@ from contact_system.checks import Array, finite_number
 from contact_system.errors import SceneError
 from contact_system.planning.starts import on_branch
 
-from .config import LOOK
+from .config import CHECK_PERIOD
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plan_check import (
     CLEARANCE,
-    LOOKS,
+    COMPARISONS,
     TOLERANCE,
     exact_plan,
     refuse,
@@ -34,16 +34,16 @@ from .scalars import evaluate_scalars
 from .scratch import PerThread, Scratch
 
 NEARBY = 10 * CLEARANCE
-"""Where the distance from a chart's singularity is watched more closely."""
+"""Nearer than this to a chart's singularity, the end of each step is examined."""
 AS_SCENE, AS_STATE, DISTURBED = 1.0, 2.0, 3.0
-"""Contacts follow the scene's plan, that from a state, or what is on the disturbance port."""
+"""Contacts follow the scene's plan, the plan from a state, or none, as the port disturbs them."""
 RESTING = 1e-3
-"""Of the greatest sigma, up to which a contact is at rest, or almost."""
+"""A contact up to this part of its greatest sigma counts as at rest."""
 
 
 class _Convertible(PlannerBase):
-    """A planner with other scalars, as TemplateSystem has it for classes without a signature of
-    their own."""
+    """A planner that converts to other scalars, as pydrake's TemplateSystem would make it if all
+    its constructors took the same arguments."""
 
     __slots__ = NO_DICTIONARY
 
@@ -88,18 +88,18 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     - `disturbance` (6n): acceleration of the finger, acceleration of the object, object rate
       offset, chart components, two numbers each; added to the scene's windows. Zero where the
-      port is not connected. A contact whose rolling is imposed is disturbed as a planned one.
-      Components are those of the coordinates that `state` starts with: a place on a triaxial
-      ellipsoid that a scene gives outside the principal range is written the other way, and
-      its windows with it, but not what is on the port.
+      port is not connected. It disturbs a contact with imposed rolling like any other.
+      Components are those of the coordinates that `state` starts with. On a triaxial ellipsoid
+      a start outside the principal range is rewritten in it, and the scene's windows with it;
+      numbers on the port are not.
     - `measured_state` (9n): as `state`, or in principal values: where a chart covers its
-      surface twice, they are turned to the planner's side, so that disturbances act as before.
+      surface twice, they are rewritten on the planner's branch, where disturbances are given.
     - `state` (9n): u1 v1 u1' v1' u2 v2 u2' v2' psi of each contact (eq. `contrac`), object rate
-      offsets included. In frame coordinates angles are those of the chart's principal range,
-      and on a triaxial ellipsoid either of the two ways to write a point.
-    - `slip` (2n): v_rel in E2 (eq. `netrelvel`). With the other way to write a point E2 is
-      turned by half a turn: in frame coordinates on a triaxial ellipsoid both components may
-      have the other sign than in :meth:`contact_system.Plan.slip`, as u2' v2' may.
+      offsets included. In frame coordinates angles are in the chart's principal range, and
+      on a triaxial ellipsoid on either branch of the chart.
+    - `slip` (2n): v_rel in E2 (eq. `netrelvel`). On the other branch E2 is turned by pi: in
+      frame coordinates on a triaxial ellipsoid both components may have the opposite sign of
+      those of :meth:`contact_system.Plan.slip`, as u2' v2' may.
     - `twist` (6n): V_OF_O, the finger's angular velocity and its origin's velocity in O.
     - `acceleration` (6n): the time derivative of the twist's components.
     - `contact_point` (6n): the contact on the finger, in F, and on the object, in O.
@@ -109,59 +109,58 @@ class ContactPlanner(_Convertible, LeafSystem):
     - `motion` (36n): all that a :class:`FingertipDriver` takes, contact by contact: X_OF, the
       rotation by columns (9) and the position (3), then twist, acceleration, contact points, normal
       and its rate.
-    - `restarts` (n): how often each contact's plan began anew.
+    - `restarts` (n): how often each contact has been restarted.
 
     The continuous state is x of :class:`contact_system.SceneSystem`, and starts as the scene says.
-    What the scene's windows add follows from the time, at an edge what acts after it; events just
-    before the edges and at them keep integrators from stepping across one. In frame coordinates a
-    discrete state has ``held`` where the planner restarts or contacts have legs; events at corners
-    turn it. The last one of a planner that restarts counts the restarts.
+    The scene's windows act by the time alone; at an edge what comes after it acts. Events just
+    before each edge and at it keep integrators from stepping across one. In frame coordinates a
+    discrete state has ``held`` if the planner restarts or contacts have legs; events at corners
+    update it. A planner that restarts has another discrete state last, the count of restarts.
 
-    States of :meth:`contact_system.SceneSystem.from_states` can be started from in chart
-    coordinates. In frame coordinates W_1 and V of contacts that nothing accelerates are no
-    states: the scene's own are used, so that a simulation must start where the scene does,
-    unless the planner restarts and that discrete state is set to ``held`` as well.
+    In chart coordinates a simulation can start from states of
+    :meth:`contact_system.SceneSystem.from_states`. In frame coordinates W_1 and V of contacts that
+    nothing accelerates are not in the continuous state, but constants of the scene: a simulation
+    must start where the scene does, unless the planner restarts and ``held`` is set as well.
 
-    The planner takes the measured state as its own every `restart_period` seconds; with a
-    `restart_distance` that of contacts which are further from the planned point on the object,
-    looked at every `restart_period` or 0.01 s. Contacts whose measured state is not finite keep
-    their plan; so do those almost at rest, whose rates have no direction.
+    Every `restart_period` seconds the planner takes the measured state as its own. With a
+    `restart_distance` it does so only for contacts that are further than this from their planned
+    point on the object, and checks every `restart_period`, or 0.01 s. Contacts whose measured state
+    is not finite, or that are almost at rest, so that rates have no direction, keep their plan.
 
     A planner may be shared by threads that have a Context each.
 
     AutoDiffXd and Expression are supported. ``FirstOrderTaylorApproximation`` linearizes a planner;
-    ``Linearize`` takes contacts, which move, only with ``equilibrium_check_tolerance=inf``. They
-    and ``DiscreteTimeApproximation`` need a planner without restarts, whose states are continuous
-    alone; for others Drake ends the process.
-    ``DirectCollocation`` evaluates systems at one time, and so is right only where sigma is
+    ``Linearize`` does so only with ``equilibrium_check_tolerance=inf``, as contacts move. Both,
+    and ``DiscreteTimeApproximation``, need a planner whose states are all continuous, without
+    restarts: for another one Drake ends the process.
+    ``DirectCollocation`` evaluates systems at one fixed time, so it is right only where sigma is
     constant. In frame coordinates Drake takes hours to evaluate the symbolic acceleration,
-    whose tree has 1e10 nodes; derivatives and the rest take up to seconds.
+    whose tree has 1e10 nodes; derivatives and other outputs take up to seconds.
 
     Parameters
     ----------
     scene : Scene
     coordinates : "chart" or "frame", optional
-        Of the states, as ``help(contact_system.system)`` explains. By default charts, or frames
-        where the scene has legs, sigma = 0 or a surface without a chart.
+        Of the states, as ``help(contact_system.system)`` explains. Default: "chart", or "frame" if
+        the scene has legs, sigma = 0 at some time, or a surface without a chart.
     disturbance_input : bool
     restart_period : float, optional
-        s. A discrete plant's state between two steps is that of the next one:
-        with one, give a multiple of its time step.
+        s. With a discrete plant give a multiple of its time step, as its state between two steps
+        is that of the next one already.
     restart_distance : float, optional
         m, 0 or more.
     tolerance : float
-        In a simulation contact points may be so far off the exact plan, per metre of path and of
-        the greater body's size; default 1.5e-6. No plan is known, and nothing compared, while the
-        disturbance port is not zero, or where a simulation begins at a rest or a pole other than
-        the scene's start; after a disturbance the plan is that from the state which it left.
+        How far contact points may be off the exact plan in a simulation, per metre of path and of
+        the greater body's size; default 1.5e-6. While the disturbance port is not zero there is no
+        plan to compare with, nor if a simulation begins at a rest or a pole other than the scene's
+        start. After a disturbance the plan from the state that it left is compared.
 
     Raises
     ------
     SceneError
-        No scene, or one that cannot be written in these coordinates; a restart_period that is
-        not above 0, a restart_distance < 0, a flag that is neither True nor False; in a simulation:
-        sigma < 0, a derivative or output that is not finite, steps that are too long for the
-        integrator.
+        Not a scene, or one that these coordinates cannot describe; a restart_period that is not
+        above 0, a restart_distance < 0, a flag that is neither True nor False. In a simulation:
+        sigma < 0, a derivative or output that is not finite, steps too long for the integrator.
     ChartSingularity
         In a simulation: a contact has come to a pole or an umbilic of its chart.
     """
@@ -186,7 +185,7 @@ class ContactPlanner(_Convertible, LeafSystem):
             finite_number(period, f"{scene.title}: restart_period", "above 0")
         if restart_distance is not None:
             finite_number(restart_distance, f"{scene.title}: restart_distance", "not below 0")
-            period = period or LOOK
+            period = period or CHECK_PERIOD
         self._fastest = scene.speeds(np.linspace(0.0, scene.duration, 101)).max(axis=0)
         self._options = dict(
             coordinates=system.coordinates,
@@ -199,7 +198,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         self._scratches = PerThread(partial(Scratch, system), {})
         self._exact = functools.lru_cache(maxsize=16)(partial(exact_plan, scene))
         size = 4 + 9 * len(scene.contacts)
-        _, self._begun = array_entry(self._CalcBegun, (size,), {self.nothing_ticket()})
+        _, self._followed = array_entry(self._CalcFollowed, (size,), {self.nothing_ticket()})
         self.DeclareInitializationPublishEvent(weakly(self._Begin))
         self.DeclarePerStepPublishEvent(weakly(self._Watch))
 
@@ -212,70 +211,70 @@ class ContactPlanner(_Convertible, LeafSystem):
     # --- what is refused at the end of a step -----------------------------------------------------
 
     def _Watch(self, context: Any) -> None:
-        """Look at ends of steps alone: a trial step that error control takes back may go anywhere.
-
-        The last derivatives of a step tell whether its end is near a singular point.
+        """Refuse singular points and drift at ends of steps: trial steps, which error control may
+        reject, may go anywhere. The last derivatives of a step tell whether to look for singular
+        points at its end.
         """
         own, t = self._scratches.own, context.get_time()
         if not own.clearance[0] > NEARBY:
             if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
                 refuse_singularity(self.system, *own.given)
-        begun, port = self._begun(context), self._disturbance
-        if begun[0] and port is not None and port.HasValue(context):
+        followed, port = self._followed(context), self._disturbance
+        if followed[0] and port is not None and port.HasValue(context):
             if port.Eval(context).any():
-                begun[0] = DISTURBED
+                followed[0] = DISTURBED
                 return
-            if begun[0] == DISTURBED:
-                begun[2:4] = t
+            if followed[0] == DISTURBED:
+                followed[2:4] = t
                 self._Follow(context, self._Parts(context, "state")[0])
-        if t < begun[3]:
+        if t < followed[3]:
             return
-        begun[3] = t + min(t - begun[2], self.system.scene.duration / LOOKS)
+        followed[3] = t + min(t - followed[2], self.system.scene.duration / COMPARISONS)
         plan = self._Exact(context)
         if plan is not None:
             points = self._Parts(context, "contact_point")[0]
             refuse_drift(self.system.scene, plan, t, points, self._tolerance)
 
-    def _CalcBegun(self, context: Any) -> Array:
-        """What is followed, and from when on; when the simulation began, and when it is compared
-        with the plan next; the state that it followed from. Zeros: no simulation has begun."""
+    def _CalcFollowed(self, context: Any) -> Array:
+        """Which plan contacts follow (`AS_SCENE`, ...; 0: no simulation has begun), and since when;
+        when comparing began, and when it is due next; the state in which that plan starts."""
         return np.zeros(4 + 9 * len(self.system.scene.contacts))
 
     def _Begin(self, context: Any) -> None:
-        """From now on contacts are compared with the plan from the state that a Context has."""
+        """Start to compare contacts with the plan from the state that the Context has."""
         own, system = self._Load(context, ("derivatives",)), self.system
         t, scene = own.t[0], system.scene
         as_at_0 = (*own.x, *own.held) == (*system.x0, *system.held0)
 
-        def made_for(time: float) -> Array:
+        def in_state(time: float) -> Array:  # what a state contains of the scene at a time
             if system.coordinates == "chart":
                 return scene.speeds(time)
             return np.hstack([system.leg_numbers(i, time) for i in range(len(scene.contacts))])
 
-        if as_at_0 and (made_for(t) != made_for(0.0)).any():
+        if as_at_0 and (in_state(t) != in_state(0.0)).any():
             raise SceneError(
                 f"{scene.title}: the simulation begins at t = {t:g} s with the state of t = 0 s: "
                 "set the time to 0, which SetDefaultContext leaves alone, or the state of its "
                 "start by SceneSystem.from_states, or give a PlanSource"
             )
-        self._begun(context)[2:4] = t
+        self._followed(context)[2:4] = t
         state = None if t == 0.0 and as_at_0 else self._Parts(context, "state")[0]
         self._Follow(context, state)
 
     def _Follow(self, context: Any, state: Array | None) -> None:
         """Compare from now on with the plan from this state, or with that of the scene."""
-        begun = self._begun(context)
-        begun[:2] = AS_SCENE if state is None else AS_STATE, context.get_time()
+        followed = self._followed(context)
+        followed[:2] = AS_SCENE if state is None else AS_STATE, context.get_time()
         if state is not None:
-            begun[4:] = state
+            followed[4:] = state
 
     def _Exact(self, context: Any) -> Plan | None:
-        """The plan from where contacts began, where it is known now."""
-        begun, t = self._begun(context), context.get_time()
-        if begun[0] not in (AS_SCENE, AS_STATE):  # not initialized, or disturbed
+        """The plan that contacts follow; None while there is none, or where it does not exist."""
+        followed, t = self._followed(context), context.get_time()
+        if followed[0] not in (AS_SCENE, AS_STATE):  # not initialized, or disturbed
             return None
-        state = begun[4:].tobytes() if begun[0] == AS_STATE else b""
-        plan = self._exact(float(begun[1]), state, max(t, self.system.scene.duration))
+        state = followed[4:].tobytes() if followed[0] == AS_STATE else b""
+        plan = self._exact(float(followed[1]), state, max(t, self.system.scene.duration))
         return plan if plan is not None and plan.start <= t <= plan.end else None
 
     # --- what Drake calls ----------------------------------------------------------------------
@@ -308,7 +307,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         derivatives.SetFromVector(rate)
 
     def _Restart(self, context: Any, state: Any) -> None:
-        """Take over the measured state of the contacts that ask for it."""
+        """Take over the measured states of the contacts that are to restart."""
         system, limit = self.system, self._distance
         rows = self._measured.Eval(context).reshape(-1, 9)
         moves = system.scene.speeds(context.get_time()) > RESTING * self._fastest
@@ -325,7 +324,7 @@ class ContactPlanner(_Convertible, LeafSystem):
             chosen &= np.linalg.norm(apart.reshape(-1, 6)[:, 3:], axis=1) > limit
         if not chosen.any():
             return
-        # Drift of the others is still what they are off the plan that they began with.
+        # Contacts that do not restart go on to be compared with the plan that they follow now.
         plan = None if chosen.all() else self._Exact(context)
         for i in np.flatnonzero(chosen):
             states, kept = system.state_slices[i], system.held_slices[i]
@@ -346,7 +345,7 @@ class ContactPlanner(_Convertible, LeafSystem):
 
 @functools.cache
 def _scalar_planner(T: type) -> type:
-    """The class of planners whose numbers are AutoDiffXd or Expression."""
+    """The class of planners for T, AutoDiffXd or Expression."""
     Base: Any = LeafSystem_[T]
 
     class ScalarPlanner(_Convertible, Base):

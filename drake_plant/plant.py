@@ -1,17 +1,17 @@
-r"""A scene as a MultibodyPlant: the object, and one free fingertip a contact.
+r"""A scene as a MultibodyPlant: the object, and one free fingertip for each contact.
 
-A fingertip is compliant, the object rigid. Where they overlap by a depth d, the object's surface
-lies ``d - (K_1 + R K_2 R)(x, x)/2`` under the finger's to second order, K the curvature forms, and
-Drake's pressure there is E times that over the distance l from the finger's surface to the inner
+A fingertip is compliant, the object rigid. Where they overlap by a depth d, at x in the tangent
+plane the object's surface lies ``d - (K_1 + R K_2 R)(x, x)/2`` below the finger's to second order.
+Drake's pressure there is E times this over the distance l from the finger's surface to the inner
 point below it (`compliant_mesh`). Over the patch, an ellipse of area
 ``2 pi d/sqrt(det(K_1 + R K_2 R))``, this adds up to
 
 .. math:: F = \frac{E}{l} \frac{\pi d^2}{\sqrt{\det(K_1 + R K_2 R)}}, \qquad
           k = \frac{dF}{dd} = \frac{2 F}{d},
 
-so the modulus for a stiffness k at a force F is ``E = k^2 l sqrt(det(K_1 + R K_2 R))/(4 pi F)``,
-and the depth 2 F/k. Between spheres of 0.04 and 0.1 m at 0.2 mm the integral without the expansion
-is 0.2 % less. SI units, radians.
+so a stiffness k at a force F needs the modulus ``E = k^2 l sqrt(det(K_1 + R K_2 R))/(4 pi F)``;
+the depth is then 2 F/k. For spheres of 0.04 and 0.1 m that are 0.2 mm deep, the force integrated
+without the expansion is 0.2 % less. SI units, radians.
 """
 
 from __future__ import annotations
@@ -76,13 +76,13 @@ from .config import EDGES, StationConfig, checked
 from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
 from .hand_kinematics import add_hand
 from .meshes import SurfaceMesh, contact_mesh, domain_of
-from .planner_base import AGES
+from .planner_base import FOREVER
 from .pressing import Touch, check_depth, contact_depth, touches_of
 
-# Gap that opens along an edge, in depths. What a facet stands off the surface ripples with the
-# period of the mesh, and a patch of radius a averages the ripple with the weight J1(q a)/(q a),
-# q = 4 pi/(sqrt(3) h) for edges h. The finger has edges at the second zero of J1, h = 1.03 a, the
-# flatter object at the first, h = 1.89 a. Measured with spheres of 0.04 and 0.1 m, 0.2 mm deep:
+# Edges of meshes are so long that from one end to the other a gap of so many contact depths opens.
+# The distance of facets from the surface ripples with the period of the mesh, and a patch of radius
+# a averages it with the weight J1(q a)/(q a), q = 4 pi/(sqrt(3) h) for edges h. It vanishes at the
+# first zero of J1, h = 1.89 a, and at the second, h = 1.03 a. Spheres of 0.04 and 0.1 m, 0.2 mm:
 #   finger, object   spread of the force, 400 orientations   faces in the patch
 #   1.04    1.04     0.3 %                                   58
 #   1.04    2.8      1.0 %                                   39
@@ -92,15 +92,15 @@ from .pressing import Touch, check_depth, contact_depth, touches_of
 # the true normal, reads 2.3 % above mu N in D1 (2.9: 1.7 %, 2.4: 1.2 %).
 # A step of D1 takes 4 us a face, and 21 us without contact.
 GAPS = 1.04, 2.9  # of finger and object
-# The widest gap of edges that somebody gives. At 9 depths the force of D1 has a spread of 0.2 to
-# 0.3 N of 1 N (Drake's own spheres 0.9 N), at 35 fingers bounce, and beyond that contact is lost.
+# The widest gap, in depths, of edges that the user sets. At 9 the force of D1 has a spread of 0.2
+# to 0.3 N of 1 N (Drake's own spheres 0.9 N), at 35 fingers bounce, beyond that contact is lost.
 WIDEST_GAP = 10.0
 
-REACH = 0.02  # m, that meshes of unbounded surfaces reach beyond the planned patches
-STRIP = 0.01  # m, that a mesh of too many triangles is fine beyond the planned patches
+REACH = 0.02  # m, by which meshes of unbounded surfaces reach beyond the planned patches
+STRIP = 0.01  # m beyond the planned patches, up to which a large mesh is fine
 TURNING_GAIN = 1e8  # N m/rad
 MOTIONS = "body_poses", "body_spatial_velocities"  # ports of plants
-OPACITY = 0.6  # of fingers, and of objects around them, so that contacts are seen through them
+OPACITY = 0.6  # of fingers, and of an object around them: contacts are seen through them
 
 
 def declare_plant_inputs(system: LeafSystem, plant: MultibodyPlant, *names: str) -> list[InputPort]:
@@ -112,7 +112,7 @@ def declare_plant_inputs(system: LeafSystem, plant: MultibodyPlant, *names: str)
 
 
 def gravity_on(plant: MultibodyPlant, body: RigidBody) -> Array:
-    """What a body falls with, (3,), m/s^2 in the world: the gravity of a model may be off."""
+    """Gravity on a body, (3,), m/s^2, in the world: 0 where it is disabled for the body's model."""
     heavy = plant.is_gravity_enabled(body.model_instance())
     return float(heavy) * plant.gravity_field().gravity_vector()
 
@@ -127,17 +127,17 @@ class ScenePlant:
     ----------
     scene : Scene
     config : StationConfig
-        What it is made from; of one of your own the driver takes the normal force and the gains,
-        the monitor friction, and SetInitialState how deep the force presses.
+        The plant's settings. Also with a plant of your own the driver reads the normal force and
+        gains here, the monitor the friction coefficient, SetInitialState the depth of contacts.
     plant : MultibodyPlant
         Finalized.
     scene_graph : SceneGraph
     object_body : RigidBody
     finger_bodies : list of RigidBody
-        One a contact.
+        One for each contact, in the scene's order.
     meshed : bool
-        Whether bodies have meshes that reach as far as contacts go until the scene's end, as those
-        of AddScenePlant: the driver refuses to go on.
+        Whether bodies have meshes that end where contacts are at the scene's end, as those of
+        AddScenePlant do: the driver then refuses to simulate beyond the scene's end.
 
     Raises
     ------
@@ -166,13 +166,13 @@ def AddScenePlant(
 ) -> ScenePlant:
     """Add a finalized MultibodyPlant and a SceneGraph with the scene's bodies.
 
-    Model instances are "object" and one a contact, by the contact's name, or as ``finger_<i>``
-    where it has none or another one has it.
-    Bodies' frames are their surfaces' own frames, and at the world's origin until
-    :func:`SetInitialState` puts the fingers in place. Only fingers and the object collide.
+    The model instances are "object" and, for each contact, its name, or ``finger_<i>`` if it has
+    none or the name is taken. The bodies' frames are those of their surfaces, and are at the
+    world's origin until :func:`SetInitialState` puts the fingers in place. Fingers collide with
+    the object alone.
 
-    A turning object hangs on a revolute joint with an implicit controller of high gain, fed by a
-    TrajectorySource "turning": Drake's joints cannot be prescribed.
+    Drake cannot prescribe a joint's motion. So a turning object is on a revolute joint whose
+    implicit controller follows a TrajectorySource "turning" with a high gain.
 
     Parameters
     ----------
@@ -185,8 +185,8 @@ def AddScenePlant(
     Raises
     ------
     SceneError
-        A value of the configuration, a surface that Drake's contact cannot take, or a builder that
-        has a system "plant", "scene_graph" or "turning" already, with the remedy.
+        A wrong setting, a surface that Drake's contact cannot take, or a builder that already has
+        a system named "plant", "scene_graph" or "turning".
     """
     of_kind(DiagramBuilder, builder, "builder", "a DiagramBuilder")
     config = checked(scene, config, "plant")
@@ -207,7 +207,7 @@ def _add(
             time_step=config.time_step,
             contact_model=config.contact_model,
             discrete_contact_approximation=config.discrete_contact_approximation,
-            # What the last step used, so that watching contact costs no second query.
+            # Ports report the contacts of the last step, so that reading them costs no new query.
             use_sampled_output_ports=bool(config.time_step > 0),
         ),
         builder,
@@ -220,12 +220,12 @@ def _add(
         for i, (name, contact, touch) in enumerate(zip(model_names(scene), scene.contacts, touches))
     ]
     touching = [plant.GetCollisionGeometriesForBody(body) for body in (object_body, *fingers)]
-    carried = CollisionFilterDeclaration().ExcludeWithin(GeometrySet(sum(touching[1:], [])))
+    excluded = CollisionFilterDeclaration().ExcludeWithin(GeometrySet(sum(touching[1:], [])))
     if config.hand is not None:
         links = add_hand(plant, config.hand, scene, fingers)
-        carried.ExcludeWithin(links)
-        carried.ExcludeBetween(links, GeometrySet(sum(touching, [])))
-    scene_graph.collision_filter_manager().Apply(carried)
+        excluded.ExcludeWithin(links)
+        excluded.ExcludeBetween(links, GeometrySet(sum(touching, [])))
+    scene_graph.collision_filter_manager().Apply(excluded)
     if config.object == "welded":
         plant.WeldFrames(plant.world_frame(), object_body.body_frame())
     turning = scene.turning if config.object == "turning" else None
@@ -250,8 +250,8 @@ def _check_names(builder: DiagramBuilder, config: StationConfig) -> None:
 
 
 def model_names(scene: Scene) -> list[str]:
-    """Names of the fingers' model instances: those given, numbered where they have none of their
-    own."""
+    """Names of the fingers' model instances: the contacts' names, or ``finger_<i>`` for a contact
+    without a name of its own."""
     given, names = [contact.name for contact in scene.contacts], list[str]()
     for i, name in enumerate(given):
         if name in ("", "object", *names):
@@ -270,8 +270,8 @@ def _check_surfaces(scene: Scene, config: StationConfig) -> None:
         )
     if config.object == "turning" and config.time_step == 0:
         raise SceneError(
-            'object = "turning" needs a discrete plant, whose implicit controllers bear the gain; '
-            "give time_step > 0"
+            'object = "turning" needs a discrete plant, whose implicit controllers are stable with '
+            "a high gain; give time_step > 0"
         )
     check_depth(scene, config)
     for i, contact in enumerate(scene.contacts):
@@ -292,7 +292,7 @@ def _check_surfaces(scene: Scene, config: StationConfig) -> None:
 
 
 def _check_edges(config: StationConfig, touches: Sequence[Touch]) -> None:
-    """Refuse meshes so coarse that bodies which roll on them lose contact."""
+    """Refuse edges so long that bodies which roll on such meshes lose contact."""
     for key in EDGES:
         edge, depth = getattr(config, key), contact_depth(config)
         if edge is None or config.contact_model == "point":
@@ -301,9 +301,9 @@ def _check_edges(config: StationConfig, touches: Sequence[Touch]) -> None:
             bend = sum(touch.curvatures) / 2
             if bend * edge**2 > WIDEST_GAP * depth:
                 raise SceneError(
-                    f"{key} = {edge!r}: contact {i}: bodies would stand {bend * edge**2:.2g} m off "
-                    f"each other along such an edge, and press {depth:.2g} m deep; give at most "
-                    f"{math.sqrt(WIDEST_GAP * depth / bend):.2g} m, or leave it out"
+                    f"{key} = {edge!r}: contact {i}: along such an edge bodies are up to "
+                    f"{bend * edge**2:.2g} m off each other, pressed {depth:.2g} m deep; give at "
+                    f"most {math.sqrt(WIDEST_GAP * depth / bend):.2g} m, or leave it out"
                 )
 
 
@@ -321,7 +321,7 @@ def _add_body(
 ) -> RigidBody:
     """A body with its contact geometry, painted in two colours so that rolling can be seen.
 
-    side : 0, a finger with its own touch, or 1, the object with those of all fingers
+    side : 0 for a finger, whose own touch is given, 1 for the object, with those of all fingers
     """
     curve = np.vstack([touch.points[side] for touch in touches])
     own = float(np.mean([touch.curvatures[side] for touch in touches]))
@@ -361,10 +361,10 @@ def _add_body(
 
 
 def _modulus(config: StationConfig, touch: Touch, inner: Array) -> float:
-    """Hydroelastic modulus, Pa, for the stiffness at the normal force, mean over the curve."""
+    """Hydroelastic modulus, Pa, for the stiffness at the normal force, averaged over the curve."""
     below = inner[cKDTree(inner).query(touch.points[0])[1]]
     height = np.sum(touch.normals * (touch.points[0] - below), axis=1)
-    compliance = np.nanmean(1 / (height * touch.openness))
+    compliance = np.nanmean(1 / (height * touch.relative_curvature))
     return config.stiffness**2 / (4 * math.pi * config.normal_force * float(compliance))
 
 
@@ -373,7 +373,7 @@ def _material(config: StationConfig) -> ProximityProperties:
     AddContactMaterial(
         properties,
         dissipation=0.0,
-        point_stiffness=2 * config.stiffness,  # Drake puts the two in series
+        point_stiffness=2 * config.stiffness,  # Drake puts those of two bodies in series
         friction=CoulombFriction(config.friction, config.friction),
     )
     properties.AddProperty("material", "relaxation_time", 0.0)
@@ -411,22 +411,22 @@ def _turning_joint(plant: MultibodyPlant, body: RigidBody, turning: Turning) -> 
         RevoluteJoint("turning", plant.world_frame(), body.body_frame(), turning.axis)
     )
     joint.set_default_angle(turning_angle(turning)(0.0))
-    # The implicit controller with a position gain alone brings the joint to the desired angle at
-    # every step, however high the gain: 2e-9 rad from it in C1.
+    # With a position gain alone, Drake's implicit controller brings the joint to the desired angle
+    # in every step, however high the gain: in C1 to 2e-9 rad.
     gains = PdControllerGains(p=TURNING_GAIN, d=0.0)
     plant.AddJointActuator("turning", joint).set_controller_gains(gains)
 
 
 def _connect_turning(builder: DiagramBuilder, plant: MultibodyPlant, turning: Turning) -> None:
-    # A step ends at the angle desired at its beginning, which has to be that of its end.
+    # The controller brings the joint to what is desired when a step begins: give the step's end.
     ahead = turning_angle(turning)(Polynomial([plant.time_step(), 1.0]))
-    # It goes on beyond the scene's end, as the planner does.
-    path = PiecewisePolynomial([np.array([[DrakePolynomial(ahead.coef)]])], [0.0, AGES])
+    # The object turns on beyond the scene's end, as the planner plans on.
+    path = PiecewisePolynomial([np.array([[DrakePolynomial(ahead.coef)]])], [0.0, FOREVER])
     source = builder.AddNamedSystem("turning", TrajectorySource(path, output_derivative_order=1))
     port = plant.get_desired_state_input_port(plant.GetModelInstanceByName("object"))
     builder.Connect(source.get_output_port(), port)
 
 
 def turning_angle(turning: Turning) -> Polynomial:
-    """Angle about the unit axis as a polynomial of time."""
+    """Angle about the normalized axis, rad, as a polynomial of time."""
     return float(np.linalg.norm(turning.axis)) * Polynomial(turning.angle)

@@ -28,11 +28,11 @@ from contact_system.theory import symbols as ca
 from .config import StationConfig
 from .meshes import RoundDomain, icosphere
 
-SPACING = 0.0025  # m, of points along the plan that show where contacts go
-ANOTHER = 0.1  # of its size, by how much a body differs that is another one
-LINE = 1e-6  # of the greatest relative curvature: less is a line, straight but for rounding
-POINTS, _ = icosphere(4)  # of a unit sphere; points of a finger are made from them
-# Of kinds of surfaces what is less where they give way by a depth.
+SPACING = 0.0025  # m, between the points of a planned path at which contacts are examined
+ANOTHER = 0.1  # bodies whose sizes differ by more than this part are not the same body
+LINE = 1e-6  # a least relative curvature below this part of the greatest is 0 but for rounding
+POINTS, _ = icosphere(4)  # unit vectors, mapped to the points of a finger that must not overlap
+# The lengths of a surface that shrink by the depth by which contact presses it in.
 RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
 
 
@@ -47,7 +47,7 @@ def contact_depth(config: StationConfig, force: float | None = None) -> float:
 
 
 def check_depth(scene: Scene, config: StationConfig) -> None:
-    """Raise a SceneError where a contact would be as deep as half a body's least radius."""
+    """Raise a SceneError if a contact would be at least half as deep as a body's least radius."""
     depth = contact_depth(config)
     for i, contact in enumerate(scene.contacts):
         for body in (contact.finger, scene.object):
@@ -61,13 +61,13 @@ def check_depth(scene: Scene, config: StationConfig) -> None:
 
 
 def rolling_scene(scene: Scene, config: StationConfig) -> Scene:
-    """The scene with bodies as large as they roll once the configuration presses them together.
+    """The scene with the surfaces on which bodies roll, pressed together by the configuration.
 
-    A compliant finger gives way to a rigid object by the depth of the contact, so it rolls on a
-    surface that lies deeper by that much; two equal point contacts share the depth. (The curvature
-    of the patch does not matter: see `contact_monitor`.) Of spheres, cylinders and tori that
-    surface is another of their kind, and nearly so of ellipsoids; of others it is their equation,
-    shifted along the normal.
+    A rigid object presses a compliant finger in by the depth of the contact, so the finger rolls on
+    an offset surface, deeper by that much; in point contact each body takes half of the depth. (The
+    curvature of the patch does not matter: see `contact_monitor`.) The offset surface of a sphere,
+    cylinder or torus is of the same kind, and nearly so that of an ellipsoid; others get their
+    equation shifted along the normal.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def rolling_scene(scene: Scene, config: StationConfig) -> Scene:
 
 
 def _smaller(surface: Surface, by: float) -> Surface:
-    """The surface so much further inside the body: of all that can be fingertips, and planes."""
+    """The offset surface, so many m deeper in the body; planes, for one, stay as they are."""
     names, less = RADII.get(type(surface)), -by if surface.inside else by
     if names:
         values = {name: getattr(surface, name) - less for name in names}
@@ -99,7 +99,7 @@ def _smaller(surface: Surface, by: float) -> Surface:
 
 
 def _smaller_quadric(surface: Quadric, by: float) -> Quadric:
-    """An ellipsoid with smaller axes; the given one if the smaller one had its (u, v) elsewhere."""
+    """An ellipsoid with shorter axes; the given one if on it a (u, v) would be at another place."""
     values, axes = np.linalg.eigh(surface.A)
     matrix = axes @ np.diag((values**-0.5 - by) ** -2) @ axes.T
     smaller = dataclasses.replace(surface, A=((matrix + matrix.T) / 2).tolist())
@@ -108,7 +108,7 @@ def _smaller_quadric(surface: Quadric, by: float) -> Quadric:
 
 
 def _smaller_implicit(surface: ImplicitSurface, by: float) -> ImplicitSurface:
-    """The points from which the surface is so far along the gradient of its equation."""
+    """The offset surface as an equation: F(x + by n) = 0 with n = grad F/|grad F|."""
     formula = surface.formula
     depth = max("depth", *formula.names, key=len) + "_"  # a name that is free
 
@@ -129,8 +129,8 @@ def _smaller_implicit(surface: ImplicitSurface, by: float) -> ImplicitSurface:
 
 
 def require_alike(planned: Scene, nominal: Scene, config: StationConfig, what: str) -> None:
-    """Raise a SceneError where what is planned has other bodies than the plant, but for what
-    contact presses in."""
+    """Raise a SceneError where the planned scene has other bodies than the plant's, apart from
+    the depth of contacts; ``what`` names the planned one."""
     pressed, bodies = 2 * contact_depth(config), (planned.surfaces, nominal.surfaces)
     if len(planned.contacts) != len(nominal.contacts) or not all(
         type(a) is type(b) and abs(a.size - b.size) <= max(ANOTHER * b.size, pressed)
@@ -143,7 +143,7 @@ def require_alike(planned: Scene, nominal: Scene, config: StationConfig, what: s
 
 
 def depth_between(nominal: Surface, planned: Surface) -> float:
-    """By how much `_smaller` made a surface smaller, m."""
+    """How deep the planned surface lies in the nominal one, m: what `_smaller` was given."""
     less = nominal.size - planned.size
     return -less if nominal.inside else less
 
@@ -153,22 +153,22 @@ def depth_between(nominal: Surface, planned: Surface) -> float:
 
 @dataclass(frozen=True)
 class Touch:
-    """Where two bodies are planned to touch, and how they curve there.
+    """Where two bodies are planned to touch, and how they curve there, at m times.
 
     points : (2, m, 3), on finger and object, each in its body's frame, m
     normals : (m, 3), out of the finger; NaN where its chart has no frame
-    curvatures : (2,), mean curvatures of finger and object, mean over the curve, 1/m
-    openness : (m,), sqrt(det(K_1 + R K_2 R)), 1/m; NaN where a chart has no frame
+    curvatures : (2,), mean curvatures of finger and object, averaged over the curve, 1/m
+    relative_curvature : (m,), sqrt(det(K_1 + R K_2 R)), 1/m; NaN where a chart has no frame
     """
 
     points: Array
     normals: Array
     curvatures: list[float]
-    openness: Array
+    relative_curvature: Array
 
 
 def touches_of(scene: Scene) -> list[Touch]:
-    """How the plan lets each finger touch the object."""
+    """Where fingers touch the object in the scene's plan; refuses line contact and overlap."""
     plan, length = make_plan(scene), scene.path_length(scene.duration)
     times = np.linspace(0, scene.duration, min(max(100, math.ceil(length / SPACING)), 20_000))
     points, poses = plan.points(times), plan.pose(times)
@@ -177,7 +177,7 @@ def touches_of(scene: Scene) -> list[Touch]:
     of_contacts, touches = relative_curvature(plan, times), []
     for i, contact in enumerate(scene.contacts):
         relative = of_contacts[:, i]
-        # A chart has no frame at its poles; the curve is known beside them.
+        # A chart has no frame at its poles: the points beside them have to do.
         known = np.all(np.isfinite(relative), axis=(1, 2))
         curvatures = np.linalg.eigvalsh(relative[known])
         least = curvatures[:, 0].min()
@@ -202,10 +202,10 @@ def touches_of(scene: Scene) -> list[Touch]:
 
 
 def _check_apart(scene: Scene, times: Array, poses: Array) -> None:
-    """Refuse fingers that would overlap, as they do not collide here; poses (m, n, 4, 4).
+    """Refuse fingers that would overlap, as fingers do not collide here; poses (m, n, 4, 4).
 
-    A finger is taken as balls: a sphere as what it is, others as `POINTS` of their surface.
-    Cylinders have no ends, so that of them nothing is known.
+    Of one finger the sphere, or points of its surface, must be outside the other one. Cylinders
+    are left out: their surface has no ends, so their length is unknown.
     """
     fingers, R, p = [c.finger for c in scene.contacts], poses[..., :3, :3], poses[..., :3, 3]
     for i, j in itertools.permutations(range(len(fingers)), 2):

@@ -25,20 +25,19 @@ from .hand_driver import HandDriver
 from .hand_kinematics import moving_joints
 from .plan_check import TOLERANCE
 from .plan_source import PlanSource
-from .planner_base import AGES, EARLY, PlannerBase
+from .planner_base import EARLY, FOREVER, PlannerBase
 from .planner_system import ContactPlanner
 from .plant import MOTIONS, AddScenePlant, ScenePlant, turning_angle
 from .pressing import contact_depth, depth_between, require_alike, rolling_scene
 from .reorientation import Reorientation
 
-STARTED = "planner", "driver", "plant"
+SYSTEMS = "planner", "driver", "plant"
 
 
 def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
-    """Planner, plant, driver and monitor of a scene, wired.
+    """A Diagram of planner, plant, driver and monitor of a scene.
 
-    The planner plans on the radii that bodies roll on once they are pressed together: that is of
-    :func:`rolling_scene`.
+    The planner plans :func:`rolling_scene`, on the surfaces that bodies roll on once pressed.
 
     .. pydrake_system::
 
@@ -61,10 +60,10 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
 
     `push` and `spatial_forces` are the driver's (see :class:`FingertipDriver`), `noise` the
     monitor's (:class:`ContactMonitor`), `disturbance` the planner's (:class:`ContactPlanner`), the
-    last five the plant's and the scene graph's, those that are planned a :class:`ForceBalancer`'s.
-    The systems are named "planner", "driver", "monitor", "plant" and "scene_graph", with pushes
-    "push" too, and "balancer" where forces balance gravity. Threads may share a station, with
-    a Context each.
+    last five the plant's and the scene graph's, and planned forces a :class:`ForceBalancer`'s.
+    The systems are named "planner", "driver", "monitor", "plant" and "scene_graph"; with pushes
+    there is a "push", and if forces balance gravity a "balancer". Threads may share a station if
+    each has its own Context.
 
     Parameters
     ----------
@@ -75,8 +74,8 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
     Raises
     ------
     SceneError
-        A value of the configuration, or what :func:`AddScenePlant` and :class:`ContactPlanner`
-        cannot do, with the remedy; in a simulation with meshes, a time beyond the scene's end.
+        A wrong setting, or a scene that :func:`AddScenePlant` or :class:`ContactPlanner` refuses;
+        in a simulation with meshes, a time beyond the scene's end.
     """
     return build(scene, checked(scene, config, "station"))[0].Build()
 
@@ -84,10 +83,10 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
 def build(
     scene: Scene, config: StationConfig, until: float | None = None
 ) -> tuple[DiagramBuilder, ScenePlant]:
-    """A station, to be built, that is simulated until a time, s, or the scene's end."""
+    """Builder and plant of a station to be simulated until a time, s (None: the scene's end)."""
     if config.hand is not None:
         raise SceneError(
-            f"{scene.title}: a hand holds its fingertips: give plan_reorientation(hand, scene) to "
+            f"{scene.title}: its fingertips are on a hand: give plan_reorientation(hand, scene) to "
             "BuildHandStation"
         )
     builder, least = DiagramBuilder(), config.normal_force
@@ -128,17 +127,17 @@ def build(
 
 
 def BuildHandStation(plan: Reorientation) -> Diagram:
-    """Plant, :class:`HandDriver` and :class:`ContactMonitor` of a plan, wired.
+    """A Diagram of plant, :class:`HandDriver` and :class:`ContactMonitor` for a hand's plan.
 
-    The systems are named "plant", "scene_graph", "driver", "monitor", and "push" where there are
-    pushes; else the driver's port is exported as `push`. The plant's default state is the start.
+    The systems are named "plant", "scene_graph", "driver" and "monitor"; with pushes there is a
+    "push", else the driver's port `push` is exported. The plant starts as the plan does.
     """
     of_kind(Reorientation, plan, "plan", "a Reorientation")
     return build_hand(plan)[0].Build()
 
 
 def build_hand(plan: Reorientation) -> tuple[DiagramBuilder, ScenePlant]:
-    """A hand's station, to be built."""
+    """Builder and plant of a hand's station."""
     builder = DiagramBuilder()
     parts = AddScenePlant(builder, plan.scene, plan.config)
     plant = parts.plant
@@ -163,7 +162,7 @@ def wire(builder: DiagramBuilder, source: LeafSystem, target: LeafSystem, *names
 def _add_monitor(
     builder: DiagramBuilder, parts: ScenePlant, planned: Scene, driver: LeafSystem
 ) -> ContactMonitor:
-    """What measures contact, and what disturbs it: the configuration's pushes, or a port."""
+    """Add the monitor; connect the driver's port `push` to the given pushes, or export it."""
     monitor = builder.AddNamedSystem("monitor", ContactMonitor(planned, parts))
     wire(builder, parts.plant, monitor, "contact_results", *MOTIONS)
     config, port = parts.config, driver.GetInputPort("push")
@@ -178,20 +177,20 @@ def _add_monitor(
 
 
 def PushSource(scene: Scene, pushes: Sequence[Push], time_step: float = 0.0) -> TrajectorySource:
-    """What the port `push` of a :class:`FingertipDriver` takes: (3n + 3), N.
+    """A source of pushes for the port `push` of a :class:`FingertipDriver`: (3n + 3), N.
 
     Parameters
     ----------
     scene : Scene
     pushes : sequence of Push
     time_step : float
-        Of a discrete plant, s, which holds a force for a step: in steps where a push begins or
-        ends, its mean; 0: as it is.
+        s, of a discrete plant, which applies a constant force in each step: where a push begins or
+        ends within a step, the force is its mean over the step. 0: a push acts as it is given.
 
     Raises
     ------
     SceneError
-        A push on something that the scene has not, or a wrong number.
+        A push on a body that the scene does not have, or a wrong number.
     """
     check_pushes(scene, pushes)
     names = body_names(scene)
@@ -199,8 +198,8 @@ def PushSource(scene: Scene, pushes: Sequence[Push], time_step: float = 0.0) -> 
     if time_step:
         steps = np.floor(edges / time_step + 1e-6)
         edges = time_step * np.concatenate([steps, steps + 1])
-    edges = np.unique(edges)  # those that differ by rounding alone count once
-    edges = np.append(edges[np.diff(edges, prepend=-1.0) > 2 * EARLY], AGES)
+    edges = np.unique(edges)  # below, edges that differ by rounding alone are merged
+    edges = np.append(edges[np.diff(edges, prepend=-1.0) > 2 * EARLY], FOREVER)
     forces = np.zeros((len(edges), len(names), 3))
     for push in pushes:
         acting = np.diff(np.clip(edges, push.start, push.stop)) / np.diff(edges)
@@ -211,7 +210,7 @@ def PushSource(scene: Scene, pushes: Sequence[Push], time_step: float = 0.0) -> 
 
 
 def _export(builder: DiagramBuilder, parts: ScenePlant, *systems: LeafSystem) -> None:
-    """Export outputs, measured ones by another name where a system before has that."""
+    """Export outputs; one whose name an earlier system has exported gets the prefix measured_."""
     taken: set[str] = set()
     for system in systems:
         names = [system.get_output_port(i).get_name() for i in range(system.num_output_ports())]
@@ -235,35 +234,35 @@ def _planner(scene: Scene, config: StationConfig) -> PlannerBase:
         disturbance_input=config.disturbance_input,
         restart_period=config.restart_period,
         restart_distance=config.restart_distance,
-        # With steps as short as a discrete plant's, all schemes but Euler's are exact enough.
+        # With the short steps of a discrete plant all schemes but Euler's are accurate enough.
         tolerance=1e-4 if config.time_step else TOLERANCE,
     )
 
 
 def SetInitialState(station: Diagram, context: Context) -> None:
-    """Put the fingers of a station where its planner is, moving as planned.
+    """Put the fingers of a station where they are planned, with the planned velocities.
 
-    What is planned is what the context has for the planner, state and time (by default the start of
-    the scene). The object stays as the context has it (by default at the world's origin, at rest),
-    but one that turns on the joint of :func:`AddScenePlant` is put where the scene has it at that
-    time. Each finger is pressed in as deep as its normal force presses it. The plant forgets
-    the steps before: as in a new context, the plant's accelerations and contact forces are zero
+    The plan is taken at the planner's state and time in the context (by default the start of the
+    scene). The object stays as the context has it (by default at the world's origin, at rest), but
+    if it turns on the joint of :func:`AddScenePlant`, it is put where the scene has it at that
+    time. Each finger is pressed in as deep as its normal force presses it. Earlier steps of the
+    plant are forgotten: as in a new context, the plant's accelerations and contact forces are zero
     until its first step.
 
     Parameters
     ----------
     station : Diagram
-        From :func:`BuildStation`, or of your own with systems "planner", "driver" and "plant", and
-        with a ForceBalancer "balancer" where forces balance.
+        From :func:`BuildStation`, or your own with systems "planner", "driver" and "plant", and a
+        ForceBalancer "balancer" if contact forces balance gravity.
     context : Context
-        The root: the station's own, or that of a Diagram that contains it.
+        The root Context: the station's, or that of the outermost Diagram that contains it.
 
     Raises
     ------
     SceneError
-        No station, or a planner with other surfaces, sizes or contacts than the driver has.
+        Not a station, or a planner with other surfaces, sizes or contacts than the driver has.
     """
-    planner, driver, plant = _started(station)
+    planner, driver, plant = _systems(station)
     require_alike(planner.system.scene, driver.scene, driver.config, "planner")
     try:
         now = planner.GetMyContextFromRoot(context)
@@ -271,9 +270,9 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         raise SceneError("context: give the root's, of the Diagram that contains all") from None
     physics = plant.GetMyMutableContextFromRoot(context)
     scene, config, t = driver.scene, driver.config, context.get_time()
-    # A velocity of a discrete plant is the one that brought it here: that of half a step ago.
+    # A discrete plant's velocity moved it over the last step: it is that of half a step ago.
     ago = 0.5 * plant.time_step()
-    # A plant of somebody's own may turn its object in another way.
+    # A plant of the user's own may turn its object in another way.
     if config.object == "turning" and scene.turning and plant.HasJointNamed("turning"):
         joint, angle = plant.GetJointByName("turning"), turning_angle(scene.turning)
         joint.set_angle(physics, angle(t))
@@ -296,26 +295,26 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         V_WF = V_WO.ComposeWithMovingFrameVelocity(R_WO @ X_OF.translation(), V_OF_W)
         plant.SetFreeBodyPose(physics, body, X_WO @ X_OF)
         plant.SetFreeBodySpatialVelocity(context=physics, body=body, V_JpJc=V_WF)
-    # The sampled outputs of Drake's plant outlive SetDefaultContext.
+    # Reset the plant's sampled outputs, which SetDefaultContext leaves as they were.
     sampled = plant.CreateDefaultContext().get_abstract_state()
     physics.get_mutable_state().get_mutable_abstract_state().SetFrom(sampled)
 
 
-def _started(station: Diagram) -> list[Any]:
-    """The systems named in `STARTED`."""
-    if not isinstance(station, Diagram) or not all(map(station.HasSubsystemNamed, STARTED)):
+def _systems(station: Diagram) -> list[Any]:
+    """The station's systems of the names `SYSTEMS`."""
+    if not isinstance(station, Diagram) or not all(map(station.HasSubsystemNamed, SYSTEMS)):
         raise SceneError(
             f"station = {station!r}: give what BuildStation made, or a Diagram of your own whose "
             "ContactPlanner, FingertipDriver and MultibodyPlant are named 'planner', 'driver' and "
             "'plant'; of a Diagram that contains it give the station, and the Diagram's context"
         )
-    return [station.GetSubsystemByName(name) for name in STARTED]
+    return [station.GetSubsystemByName(name) for name in SYSTEMS]
 
 
 def _finger_poses(
     planner: PlannerBase, context: Context, driver: FingertipDriver, forces: Array | None = None
 ) -> list[RigidTransform]:
-    """X_OF as planned, each finger pressed in by the depth of its force on the nominal surfaces."""
+    """X_OF as planned, but pressed in until nominal surfaces overlap by the depth for the force."""
     config, poses = driver.config, planner.GetOutputPort("pose").Eval(context)
     normals = planner.GetOutputPort("normal").Eval(context).reshape(-1, 3)
     if forces is None:
