@@ -1,13 +1,13 @@
-r"""Contact forces that balance what acts on an object, inside the friction cones and small.
+r"""The smallest contact forces inside the friction cones that exert a wanted wrench on an object.
 
-With point contacts at p_i, forces f_i on the object exert a wrench together. Of all forces that
-exert the one that is wanted, those with the least sum of squares are taken,
+Forces f_i at point contacts p_i are chosen by
 
 .. math:: \min \sum_i |f_i|^2, \quad \sum_i (f_i,\; p_i \times f_i) = (F, T), \quad
           |f_i - (f_i \cdot n_i) n_i| \le c\, \mu_i\, f_i \cdot n_i, \quad f_i \cdot n_i \ge N_i,
 
-n_i the normal into the object and c the part of a cone that is used. The cost is strictly convex,
-so forces do not jump where contacts move without one. SI units.
+where (F, T) is the wrench, n_i the normal into the object, mu_i the friction coefficient, N_i the
+least normal force, and c the part of the cones that may be used. The cost is strictly convex, so
+forces do not jump unless contacts do. SI units.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from .plant import MOTIONS, ScenePlant, declare_plant_inputs, gravity_on
 from .scratch import slices
 
 MARGIN = 0.8
-"""Of a friction cone, so that facets and feedback leave what is measured below 90 %."""
-RATE = 30.0  # 1/s, at which an object is led back to its place
+"""The part of a friction cone that is used: with facets and feedback less than 90 % is measured."""
+RATE = 30.0  # 1/s, of the critically damped return of an object to its place
 KNOTS = 51  # times at which a plan is balanced before it is simulated
 UNIT = 1e-6  # how far from 1 a normal's length may be
-LEFT = 1e-3  # part of a wrench that counts as not balanced, where something has to be left
-NONE, ROUNDING = 1e-14, 1e-6  # between these, a part of a wrench that no forces exert is rounding
-DEAR = 1e6  # how much dearer than forces that is, squared and in sizes of about 1
+LEFT = 1e-3  # least part of the wrench that an error reports as not balanced
+NONE, ROUNDING = 1e-14, 1e-6  # between these, a part of the wrench that no forces exert is rounding
+DEAR = 1e6  # cost of a wrench that is left, over that of forces, both squared and scaled to 1
 FOUND = {"contact_forces": 3, "normal_force": 1, "friction_used": 1}  # numbers of each contact
 
 
@@ -64,16 +64,16 @@ def balancing_forces(
     friction : (n,) or float
         Coulomb's coefficients.
     force, torque : (m, 3)
-        What the contacts shall exert on the object together, N and N m about the frame's origin:
-        mass times acceleration less its weight (see :func:`needed_wrench`).
+        The wrench that all contacts together are to exert on the object, N and N m about the
+        frame's origin: mass times acceleration less its weight (see :func:`needed_wrench`).
     margin : float
         Part of each friction cone that may be used, 1 or less; default 0.8.
     least : (n,) or float
         Least normal forces, N.
     t : (m,), optional
-        Times, s, that an error names.
+        s; an error names the time.
     strict : bool
-        False: where there are no such forces, those that leave the least of the wrench.
+        False: where no forces exert the wrench, return those that come nearest to it.
 
     Returns
     -------
@@ -83,9 +83,9 @@ def balancing_forces(
     Raises
     ------
     SceneError
-        No such forces exist, with the first time and the wrench that is left there; arrays of
-        other shapes, numbers that are not finite, normals that are no unit vectors, a margin
-        that is not in 0 to 1.
+        No forces exert the wrench: it tells the first such time and the wrench that is left;
+        arrays of other shapes, numbers that are not finite, normals that are not unit vectors, a
+        margin outside 0 to 1.
     """
     points = shaped_array(points, "points", finite=True)
     if points.ndim != 3 or points.shape[2] != 3 or not points.size:
@@ -103,7 +103,7 @@ def balancing_forces(
             raise SceneError(f"{name} = {given!r}: give a number, or one for each contact")
     if not (np.abs(np.linalg.norm(normals, axis=-1) - 1) < UNIT).all():
         raise SceneError("normals: give vectors of length 1")
-    # in sizes of about 1
+    # scale everything to sizes of about 1
     length = np.abs(points).max() or 1.0
     wanted = np.hstack([force, torque / length])
     floor = np.broadcast_to(least, count)
@@ -128,8 +128,8 @@ def balancing_forces(
 
 
 def friction_used(forces: ArrayLike, normals: ArrayLike, friction: ArrayLike) -> Array:
-    """Part of each friction cone that forces use, NaN without contact or friction: (..., n, 3)
-    twice and (n,) -> (..., n)."""
+    """Part of each friction cone that forces use, (..., n), NaN without contact or friction; forces
+    and normals (..., n, 3), friction (n,)."""
     forces, normals = np.asarray(forces), np.asarray(normals)
     pressing = np.sum(forces * normals, axis=-1)
     across = np.linalg.norm(forces - pressing[..., None] * normals, axis=-1)
@@ -140,7 +140,7 @@ def friction_used(forces: ArrayLike, normals: ArrayLike, friction: ArrayLike) ->
 def needed_wrench(
     inertia: SpatialInertia, gravity: ArrayLike, R_WO: Array, V_WO: ArrayLike, A_WO: ArrayLike
 ) -> tuple[Array, Array]:
-    """Force, and torque about the origin, in O, (m, 3) each, that move an object as planned.
+    """Force, and torque about the origin, in O, (m, 3) each, that give an object the acceleration.
 
     inertia : in O, about its origin
     gravity : (3,), in the world
@@ -156,8 +156,8 @@ def needed_wrench(
 
 
 def pressed_config(scene: Scene, config: StationConfig, until: float) -> StationConfig:
-    """The configuration with the normal force that its balance of the scene needs in the mean until
-    a time, s, where the object is held still at the world's origin."""
+    """The configuration with the mean normal force that balancing takes in the scene's plan until a
+    time, s, with the object at rest at the world's origin."""
     if not config.balances:
         return config
     t = np.linspace(0.0, until, KNOTS)
@@ -181,7 +181,7 @@ def pressed_config(scene: Scene, config: StationConfig, until: float) -> Station
 def _solve(
     arms: Array, normals: Array, wanted: Array, cones: Array, floor: Array, leaving: bool = False
 ) -> tuple[Array, Array | None]:
-    """Forces, (m, n, 3), and what of the wrench they have to leave, (m, 6)."""
+    """Forces, (m, n, 3), and, where no forces exert the wrench, what is left of it, (m, 6)."""
     m, n, _ = arms.shape
     program = MathematicalProgram()
     forces = program.NewContinuousVariables(3 * m * n).reshape(m, n, 3)
@@ -200,16 +200,16 @@ def _solve(
         program.AddQuadraticCost(costs, np.zeros(len(own)), own, is_convex=True)
         for i in range(n):
             program.AddConstraint(LorentzConeConstraint(cone[k, i], np.zeros(4)), forces[k, i])
-            if floor[i] or not cones[i]:  # a cone without width has two sides
+            if floor[i] or not cones[i]:  # a cone without width allows pulling
                 program.AddLinearConstraint(normals[k, i], floor[i], np.inf, forces[k, i])
     result = ClarabelSolver().Solve(program)
     if not leaving and not result.is_success():
-        # Of two opposite contacts none turns about their line, where rounding asks for some torque.
+        # Two opposite contacts exert no torque about their line: drop what rounding asks for there.
         basis, sizes, _ = np.linalg.svd(matrices, full_matrices=False)
         basis *= (sizes > ROUNDING * sizes[:, :1])[:, None]
-        near = (basis @ (basis.swapaxes(1, 2) @ wanted[..., None]))[..., 0]
-        if NONE < np.abs(near - wanted).max() < ROUNDING:
-            return _solve(arms, normals, near, cones, floor)
+        possible = (basis @ (basis.swapaxes(1, 2) @ wanted[..., None]))[..., 0]
+        if NONE < np.abs(possible - wanted).max() < ROUNDING:
+            return _solve(arms, normals, possible, cones, floor)
         return _solve(arms, normals, wanted, cones, floor, leaving=True)
     return (
         result.GetSolution(forces.ravel()).reshape(m, n, 3),
@@ -218,7 +218,7 @@ def _solve(
 
 
 class ForceBalancer(LeafSystem):
-    """Contact forces that keep an object in its place against gravity, inside the friction cones.
+    """Contact forces inside the friction cones that hold an object in its place against gravity.
 
     .. pydrake_system::
 
@@ -233,18 +233,18 @@ class ForceBalancer(LeafSystem):
         - normal_force
         - friction_used
 
-    The first two inputs are a planner's, so that a planner that restarts from measured states moves
-    them with the contacts; the others are the plant's. `contact_forces` (3n) are forces on the
-    object in the world, N, by :func:`balancing_forces`: of what carries the object and leads it
-    back to its place, critically damped at 30 1/s. The place is the
-    Context's only parameter, a RigidTransform, by default the object's default pose. Where the
-    cones cannot hold that, as in a push, they are those that leave the least of it. `normal_force`
-    (n) and `friction_used` (n) are their normal parts, N, and the parts of the cones they use.
+    The first two inputs are a planner's (one that restarts moves them with the measured contacts),
+    the others the plant's. `contact_forces` (3n) are forces on the object in the world, N, by
+    :func:`balancing_forces`: they carry the object's weight and return it to its place, critically
+    damped at 30 1/s. The place is the Context's only parameter, a RigidTransform, by default the
+    object's default pose. Where the cones do not allow it, as in a push, they come as near as they
+    can. `normal_force` (n) and `friction_used` (n) are their normal components, N, and the parts of
+    the cones that they use.
 
     Parameters
     ----------
     scene_plant : ScenePlant
-        Its object is free; its configuration says friction, and which part of it is used.
+        Its object is free. Friction, and the part of it that is used, are its configuration's.
     least : float
         Least normal force, N.
     """

@@ -1,15 +1,15 @@
-r"""What contact physics makes of a plan: slip, forces and contact coordinates, measured.
+r"""Measure what contacts do in a simulation: slip, forces and contact coordinates.
 
 Slip depends on the point of a hydroelastic patch at which the velocities of the bodies are
 compared: a fingertip that spins at 35 rad/s changes its tangential velocity by 0.35 mm/s every 10
-um along the normal. What is zero while a finger rolls is friction, which acts on every face along
-that face. The edge of a curved patch lies lower than its middle, which changes the velocity there,
-and its faces are tilted, which changes it back. So the mean over the faces, each along itself, is
-the velocity at the object's surface above the middle of the patch (exactly on spheres; else it
-differs by spin times depth/6 times the difference between the principal directions of k2/(k1 +
-k2), where k1 and k2 are the bodies' curvatures). Measured on a sphere of 0.04 on one of 0.1, 58
-faces, 0.2 mm deep, spinning at 35 rad/s, 30 random orientations: velocity read where the friction
-on the patch is zero [mm/s], steps of 0.1 ms
+um along the normal. The right point is the one where slip is zero when friction is, as while a
+finger rolls. Friction acts on every face of the patch, along that face. The edge of a curved patch
+lies lower than its middle, which changes the velocity there, and its faces are tilted, which
+changes it back. So the mean of the faces' slip, each along its own face, is the slip at the
+object's surface above the middle of the patch (exactly on spheres; else it differs by spin times
+depth/6 times the difference of k2/(k1 + k2) between the principal directions, where k1 and k2 are
+the bodies' curvatures). Slip measured at zero friction [mm/s], for spheres of 0.04 and 0.1 m,
+0.2 mm deep, 58 faces, spin 35 rad/s, steps of 0.1 ms, in 30 random orientations:
 
 ==========================================  ===============
 at the centroid of area                     -0.90 +- 0.13
@@ -19,16 +19,17 @@ mean over faces, each along itself          +0.06 +- 0.13
 ==========================================  ===============
 
 so velocities are compared at the object's surface: that needs no face, only the poses of the two
-bodies. The rest is the facets of the meshes. If the object of a user's plant is compliant too, the
-patch lies between the two surfaces, by how stiff they are, and slip is taken there.
+bodies. What remains is due to the facets of the meshes. If the object of a user's plant is
+compliant too, the patch lies between the two surfaces, as their stiffnesses divide the depth, and
+slip is taken there.
 
-A discrete step solves for forces that act where its end brings the bodies. In fast rolling that is
-further along the curve than the patch from which the step starts (1 mm at 1 m/s and 1 ms), and the
-normal is another one: with the patch's own, 10 mN of a normal force of 1 N would be taken as
-friction. So the normal is taken at the centre of pressure, which the torque of the contact force
-tells. Slip is read at the poses from which the step starts, as the velocities that it solves for
-make contacts stick or slide there. At the poses of its end the same velocities would be up to 8
-mm/s of slip in D3, whose object turns, where Drake's own point contact has 1e-4 mm/s.
+A discrete step solves for the forces at the place to which it moves the bodies. In fast rolling
+this is further along the curve than the patch from which the step starts (1 mm at 1 m/s and 1 ms),
+and the normal differs: with the patch's own normal, 10 mN of a normal force of 1 N would count as
+friction. So the normal is taken at the centre of pressure, which follows from the torque of the
+contact force. Slip is taken at the poses from which the step starts, as the solver makes contacts
+stick or slide there. At the poses of the step's end the same velocities would be up to 8 mm/s of
+slip in D3, whose object turns, where Drake's own point contact has 1e-4 mm/s.
 """
 
 from __future__ import annotations
@@ -60,28 +61,28 @@ from .scratch import FingerTables, PerThread, named, slices
 
 TINY = sys.float_info.min
 TOLERANCE = 1e-7
-"""Of the places of contacts, over the size of the bodies."""
+"""Error of contact points that probes find, over the size of the bodies."""
 MEASURED = {"slip": 2, "normal_force": 1, "tangential_force": 2, "state": 9, "contact_point": 3}
-"""Numbers of each contact; the first three are of where the step that ended now began."""
+"""Numbers of each contact; the first three are those of the step that ended now."""
 COLUMNS = slices(MEASURED)
 NOTHING = np.zeros(3).data
 SEEN = {"X_WO": 12, "V_WO": 6, "X_WF": 12, "V_WF": 6, "point": 3, "force": 3, "torque": 3}
-"""What is seen of a contact: bodies, the point C where it acts, the force on the finger, and its
-torque about C, in the world."""
+"""What Drake tells of a contact, in the world: motion of both bodies, the point C where the contact
+force on the finger acts, this force, and its torque about C."""
 PRESSED = {"at": 3, "E2": 9, "K2": 4, "K1": 4, "gap": 1}
 PRESSED |= {"point": 3, "force": 3, "torque": 3, "bends": 1}
-"""What is known of a contact that presses: what a probe finds from the object's point on; the point
-C, force and torque about it in O where the step began; how much of the contact bends with the
-finger."""
+"""What the forces of a contact follow from, in O where the step began: the probe's results from the
+object's point on; C, force and torque as in `SEEN`; which part of the patch follows the finger's
+curvature."""
 NOISY = ("state", "sliding")
 SATURATED = 0.95
-"""Friction counts as saturated from this part of mu N on: facets let N itself ripple."""
+"""Friction counts as saturated from this part of mu N on, as facets make N itself ripple."""
 SLIDES = 0.7
-"""Slip is fed back from this part on: "lagged" makes no more than 0.74 where a finger slides."""
+"""A contact counts as sliding from this part of mu N on: "lagged" makes as little as 0.74 of it."""
 
 
 class ContactMonitor(LeafSystem):
-    """Contact results and motion of the bodies to what each contact does.
+    """Measures each contact from a plant's contact results and the motion of the bodies.
 
     .. pydrake_system::
 
@@ -100,47 +101,47 @@ class ContactMonitor(LeafSystem):
         - sliding
 
     The first three inputs are the plant's; `noise` (9n) is added to `state`, and so to `sliding`,
-    which follows from it. Of a discrete plant slip and forces are those of the step that ended
-    now, state and contact point are those now. Without sampled output ports Drake reports the step
-    that begins instead: all are those of now, as in a continuous plant. Of the outputs, n contacts
-    in the scene's order and SI units,
+    which follows from it. With a discrete plant slip and forces are those of the step that has just
+    ended, state and contact point those of now. Without sampled output ports Drake reports the step
+    that begins instead: then all are those of now, as with a continuous plant. The outputs, for n
+    contacts in the scene's order, in SI units:
 
     * `state` (9n) holds u1 v1 du1 dv1 u2 v2 du2 dv2 psi in principal values, for the planner's
       `measured_state`; its rates fulfil ``R_psi M1 q1' - M2 q2' = v_rel`` with the measured slip;
-    * `slip` (2n) is v_rel in E2, minus the velocity of the finger's material point relative to the
-      object's (theory section 2);
+    * `slip` (2n) is v_rel in E2: the velocity of the finger's material point relative to the
+      object's is -v_rel (theory section 2);
     * `normal_force` (n) is positive where the bodies press;
     * `tangential_force` (2n) acts on the finger, in E2;
     * `contact_point` (3n) is where the line normal to both surfaces meets the object's, in O;
-    * `sliding` (3n) is v_rel of `state` as a vector in O where the contact slides, which shows in
-      its friction: at 85 % of mu N or more. Zero elsewhere, so that noise moves no finger that
-      rolls. mu is that of the plant's configuration.
+    * `sliding` (3n) is v_rel of `state` as a vector in O if the contact slides, that is if friction
+      is 70 % of mu N or more; else zero, so that noise does not move a finger that rolls. mu is
+      that of the plant's configuration.
 
-    Where a finger touches the object with several patches or pairs of points, forces are those of
-    their sum, taken along and across the normal at its centre of pressure.
-    Without contact the forces are 0 and the others are those of the points nearest to each other.
-    Bodies are taken to move in a step with the velocity at its end, as free ones do. Slip of those
-    that swing on joints is off by a step times their centripetal acceleration at most.
-    Where there is no contact frame (such as at a pole) what needs one is NaN: a planner that
-    restarts then keeps its plan.
+    If a finger touches the object with several patches or pairs of points, the forces are those of
+    their sum, taken along and across the normal at its centre of pressure. Without contact they are
+    0, and the other outputs are those of the two nearest points of the bodies.
+    Bodies are taken to move in a step with the velocity at its end, as free ones do. For bodies
+    that swing on joints the error of slip is at most a step times their centripetal acceleration.
+    Where there is no contact frame (such as at a pole), outputs that need one are NaN: a planner
+    that restarts then keeps its plan.
 
     Parameters
     ----------
     scene : Scene
-        Its surfaces measure the coordinates. In a closed loop it is the planner's scene, so that
-        planner and monitor read the same slip from the same rates.
+        The contact coordinates are those of its surfaces. In a closed loop give the planner's
+        scene, so that planner and monitor mean the same slip by the same rates.
     scene_plant : ScenePlant
-        Finalized; the bodies' frames are their surfaces' own.
+        Finalized; the bodies' frames are those of their surfaces.
 
     Raises
     ------
     SceneError
-        No ScenePlant, or one of other surfaces, sizes or contacts than the scene.
+        Not a ScenePlant, or one with other surfaces, sizes or contacts than the scene.
 
     Attributes
     ----------
     measured : callable
-        Of a Context, all that the ports say but for noise: (n, 17), `COLUMNS`.
+        A function of a Context: all outputs without noise, (n, 17), by columns as in `COLUMNS`.
     """
 
     __slots__ = NO_DICTIONARY
@@ -153,8 +154,8 @@ class ContactMonitor(LeafSystem):
         require_alike(scene, scene_plant.scene, scene_plant.config, "monitor")
         self._scene, self._friction = scene, scene_plant.config.friction
         plant, fingers = scene_plant.plant, scene_plant.finger_bodies
-        # Bodies planned on the radii that they roll on meet there. On a plane, which has no radius,
-        # that is where the planned finger's surface is.
+        # Slip in point contact is taken where the surfaces that bodies roll on meet. A plane is not
+        # offset, so there that is at the planned finger's surface.
         flat = isinstance(scene.object, Plane)
         self._at_finger = [
             flat and rolling.finger != nominal.finger
@@ -162,9 +163,8 @@ class ContactMonitor(LeafSystem):
         ]
         self._object = int(scene_plant.object_body.index())
         self._fingers = [int(body.index()) for body in fingers]
-        # Of two geometries the contact, and whether the first is the object's; a plant of
-        # somebody's own may have other bodies that fingers touch. By number: a GeometryId of the
-        # plant's would keep the plant.
+        # For two geometries their contact, and whether the first is the object's; others in a
+        # user's plant do not count. Keys are numbers, as GeometryIds would keep the plant alive.
         self._pairs: dict[tuple[int, int], tuple[int | None, bool]] = {}
         for i, body in enumerate(fingers):
             both = map(plant.GetCollisionGeometriesForBody, (body, scene_plant.object_body))
@@ -206,15 +206,15 @@ class ContactMonitor(LeafSystem):
     def _CalcMeasured(self, context: Context) -> Array:
         X_W, V_W = self._poses.Eval(context), self._velocities.Eval(context)
         gauges = self._gauges.own
-        gauges.look(X_W, V_W, self._object, self._fingers)
-        self._Touch(gauges, self._results.Eval(context))
+        gauges.begin(X_W, V_W, self._object, self._fingers)
+        self._AddForces(gauges, self._results.Eval(context))
         return gauges.measure()
 
     def _Pair(self, first: GeometryId, second: GeometryId) -> tuple[int | None, bool]:
         return self._pairs.get((first.get_value(), second.get_value()), (None, False))
 
-    def _Touch(self, gauges: ContactGauges, results: ContactResults) -> None:
-        """Tell the gauges of all patches and points between fingers and object."""
+    def _AddForces(self, gauges: ContactGauges, results: ContactResults) -> None:
+        """Give the gauges all patches and point pairs between fingers and object."""
         for k in range(results.num_hydroelastic_contacts()):
             info = results.hydroelastic_contact_info(k)
             patch = info.contact_surface()
@@ -223,17 +223,17 @@ class ContactMonitor(LeafSystem):
                 share = _share_of_M(patch) if first else 1.0 - _share_of_M(patch)
                 F_Ac_W = info.F_Ac_W().get_coeffs()  # body A has geometry M
                 force = -F_Ac_W if first else F_Ac_W
-                gauges.touch(i, share, share, patch.centroid(), force[3:], force[:3])
+                gauges.add(i, share, share, patch.centroid(), force[3:], force[:3])
         for k in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(k)
             pair, p_WC, force = info.point_pair(), info.contact_point(), info.contact_force()
             i, first = self._Pair(pair.id_A, pair.id_B)
             if i is not None:
-                # It acts midway in depth where both are equally stiff, else nearer to the stiffer's
-                # surface; a depth may be 0, or rounding alone.
+                # If both are equally stiff the force acts at half of the depth, else nearer to the
+                # stiffer one's surface. The depth may be 0 or negative by rounding.
                 off = math.dist(pair.p_WCa if first else pair.p_WCb, p_WC)
                 share = 1.0 if self._at_finger[i] else min(1.0, off / max(pair.depth, TINY))
-                gauges.touch(i, share, 0.0, p_WC, force if first else -force, 0.0)
+                gauges.add(i, share, 0.0, p_WC, force if first else -force, 0.0)
 
 
 def _slip(finger: Surface, obj: Surface, state: Array) -> Array:
@@ -244,9 +244,9 @@ def _slip(finger: Surface, obj: Surface, state: Array) -> Array:
 
 
 def _share_of_M(patch: ContactSurface) -> float:
-    """How much of the depth geometry M gives way, 0 where it is rigid.
+    """The part of the depth by which geometry M gives way, 0 if it is rigid.
 
-    From each surface to the patch pressure grows by that body's gradient, to the same at the patch.
+    Pressure grows by each body's gradient from its surface to the patch, where both are equal.
     """
     if not patch.HasGradE_M():
         return 0.0
@@ -261,13 +261,12 @@ def _share_of_M(patch: ContactSurface) -> float:
 
 
 class ContactGauges:
-    """Measures the contacts of a scene, step by step; one thread at a time.
+    """Measures all contacts of a scene at one time: `begin`, `add` what presses, then `measure`.
 
-    Parameters
-    ----------
+    One thread at a time may use it.
+
     scene : Scene
-    step : float
-        Of the discrete plant, s; 0 where all is of now.
+    step : s, of the discrete plant whose forces are those of the last step; 0 if they are of now
     """
 
     def __init__(self, scene: Scene, step: float):
@@ -284,24 +283,24 @@ class ContactGauges:
             for probe, machine, *own in zip(self._probes, self._forces.machines, *rows)
         ]
 
-    def look(self, X_W: Any, V_W: Any, obj: int, fingers: list[int]) -> None:
-        """Note where the bodies are, and how they move, as Drake lists them; nothing touches."""
+    def begin(self, X_W: Any, V_W: Any, obj: int, fingers: list[int]) -> None:
+        """Set the motion of the bodies, from Drake's lists of all bodies, without any contact."""
         self._motions.put(X_W, V_W, obj, fingers)
-        # of each contact the sizes of all forces, share, and how much bends
-        self._told = [(0.0, 0.0, 0.0)] * len(self._probes)
+        # of each contact: the sum of the sizes of its forces, and the means of share and bends
+        self._sums = [(0.0, 0.0, 0.0)] * len(self._probes)
 
-    def touch(
+    def add(
         self, i: int, share: float, bends: float, p_WC: Array, force: Array, torque: Array | float
     ) -> None:
-        """Add a patch or point of a contact; C is the mean of all, weighted by the sizes of their
-        forces.
+        """Add a patch or point pair of contact i, at C. The whole contact's C, share and bends are
+        means, weighted by the sizes of the forces.
 
         share : where between the surfaces of object (0) and finger (1) slip is taken
-        bends : how much of the contact bends with the finger's
+        bends : part of the patch's curvature that is the finger's; the rest is the object's
         force, torque : on the finger, about C, in the world
         """
-        (at, total, turning), (pressing, taken, bent) = self._acting[i], self._told[i]
-        size = math.hypot(*force.tolist()) + TINY  # two that do not press count alike
+        (at, total, turning), (pressing, taken, bent) = self._acting[i], self._sums[i]
+        size = math.hypot(*force.tolist()) + TINY  # forces of size 0 get equal weights
         part = size / (pressing + size)
         if part == 1.0:
             at[:], total[:], turning[:] = p_WC, force, torque
@@ -312,13 +311,13 @@ class ContactGauges:
             at += to_C
             total += force
         shares = taken + part * (share - taken), bent + part * (bends - bent)
-        self._told[i] = pressing + size, *shares
+        self._sums[i] = pressing + size, *shares
 
     def measure(self) -> Array:
         """Slip, normal force, tangential force in E2, state, contact point in O: (n, 17)."""
         self._motions.run()
-        for contact, (pressing, share, bends) in zip(self._contacts, self._told):
-            probe, take, seen, found, moved, given, forces, result = contact
+        for contact, (pressing, share, bends) in zip(self._contacts, self._sums):
+            probe, calc_forces, seen, found, moved, given, forces, result = contact
             # slip and forces, where the step that ended now began
             seen[:18], seen[18], seen[19] = moved[:18], share, 0.0
             if pressing:
@@ -327,7 +326,7 @@ class ContactGauges:
                 probe.find(probe.approach())
             given[:21], given[21:30] = found[ON_OBJECT.start : GAP + 1], moved[21:30]
             given[30], result[:2] = bends, found[SLIP]
-            take()
+            calc_forces()
             result[2:5] = forces if pressing else NOTHING
             # where the contact is now, with the slip of the step
             seen[:18], seen[18], seen[19], seen[20:] = moved[30:48], 0.0, 1.0, result[:2]
@@ -338,10 +337,10 @@ class ContactGauges:
 
 @per_structure
 def _motion() -> Table:
-    """`SEEN`; a step -> X_OF (12), V_OF_O (6), C in F, C in O, force and torque in O, where the
-    step that ended now began, and X_OF, V_OF_O of now, (48).
+    """Table: `SEEN`; step -> X_OF (12), V_OF_O (6), C in F, C in O, force and torque in O, when the
+    step that has just ended began; X_OF, V_OF_O of now: (48).
 
-    The bodies came from there as a discrete plant moves them, with the velocities they have.
+    A discrete plant has moved the bodies from there with the velocities that they have now.
     """
     (row, x), step = named(SEEN), ca.SX.sym("step")
     found = ca.vertcat(_in_object(x, -step), _in_object(x, ca.SX(0))[:18])
@@ -360,7 +359,7 @@ def _in_object(x: SimpleNamespace, later: ca.SX) -> ca.SX:
 
 
 def _moved(R: ca.SX, p: ca.SX, w: ca.SX, v: ca.SX, later: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Rotation and position after a step of Drake's, whose quaternions turn by Cayley's map."""
+    """Rotation and position after a step of Drake, which updates quaternions by Cayley's map."""
     a = ca.skew(later / 2 * w)
     turn = ca.SX.eye(3) + 2 * (a + a @ a) / (1 + later**2 / 4 * ca.sumsqr(w))
     return turn @ R, p + later * v
@@ -368,9 +367,9 @@ def _moved(R: ca.SX, p: ca.SX, w: ca.SX, v: ca.SX, later: ca.SX) -> tuple[ca.SX,
 
 @per_structure
 def _forces() -> Table:
-    """`PRESSED` -> normal force, tangential force in E2, (3).
+    """Table: `PRESSED` -> normal force, tangential force in E2, (3).
 
-    The normal is that at the centre of pressure, to first order.
+    They are along and across the normal at the centre of pressure, to first order.
     """
     row, x = named(PRESSED)
     E2, K2, K1 = ca.reshape(x.E2, 3, 3), ca.reshape(x.K2, 2, 2), ca.reshape(x.K1, 2, 2)

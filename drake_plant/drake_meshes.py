@@ -1,4 +1,4 @@
-"""Meshes and surfaces as shapes of Drake, made in memory: for contact, and to be looked at."""
+"""Meshes and surfaces as shapes of Drake, made in memory: for contact, and for pictures."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from contact_system.surfaces import ImplicitSurface, Surface, Torus
 
 from .meshes import Array, Domain, SurfaceMesh, Triangles, edges_of, refined
 
-FINER = 2  # halvings of the triangles that are painted in one of two shades
-SHADE = 0.65  # brightness of the darker one
-# Where inner points around a ring are, in steps and of its thickness: with a grid's edges in one
-# plane the tetrahedra between them would be flat, which Drake refuses.
+FINER = 2  # how often the patches that are painted in two shades are subdivided
+SHADE = 0.65  # brightness of the darker shade
+# Offset of inner points along a ring, in steps, and along its axis, in minor radii. In one plane
+# with edges of the grid they would give flat tetrahedra, which Drake refuses.
 AHEAD, RAISED = math.sqrt(2) - 1, 0.01
 
 
@@ -28,7 +28,7 @@ def rigid_mesh(mesh: SurfaceMesh) -> Mesh:
 
 
 def inner_points(surface: Surface) -> Array:
-    """Where depth below a fingertip's surface is measured to: its centre, or a ring, (k, 3), m."""
+    """The deepest points of a fingertip: its centre, or a torus's middle circle, (k, 3), m."""
     if isinstance(surface, Torus):
         around = (np.arange(64) + AHEAD) * math.pi / 32
         x, y = surface.major * np.stack([np.cos(around), np.sin(around)])
@@ -39,11 +39,11 @@ def inner_points(surface: Surface) -> Array:
 def compliant_mesh(mesh: SurfaceMesh, inner: Array, name: str) -> Mesh:
     """The solid under the corrected triangles as a Drake Mesh, for compliant hydroelastic contact.
 
-    Every triangle is the base of one tetrahedron, whose apex is the nearest inner point. Drake
-    makes pressure linear from 0 on the surface to the modulus at the inner points: it is then
+    Every triangle is the base of one tetrahedron, whose apex is the nearest inner point. Drake's
+    pressure is linear in each, from 0 on the surface to the modulus at the inner point: so it is
     proportional to the depth below the triangle.
 
-    mesh : closed, or a cylinder's side about the z axis, which is closed by flat ends
+    mesh : closed, or a cylinder's side about the z axis, which gets flat ends
     inner : (k, 3), one point, or points around a ring in order, m
     """
     points, triangles = _with_ends(mesh)
@@ -74,7 +74,7 @@ def _with_ends(mesh: SurfaceMesh) -> tuple[Array, Triangles]:
 
 
 def _tetrahedra(points: Array, triangles: Triangles, inner: Array, name: str) -> Triangles:
-    """A tetrahedron under each triangle, and what fills the wedges between different apexes."""
+    """A tetrahedron under each triangle, and others in wedges between those of unequal apexes."""
     count, apex = len(inner), _apexes(points, triangles, inner)
     cells = [np.column_stack([triangles, len(points) + apex])]
     if count > 1:
@@ -101,9 +101,9 @@ def _tetrahedra(points: Array, triangles: Triangles, inner: Array, name: str) ->
 
 
 def _apexes(points: Array, triangles: Triangles, inner: Array) -> Triangles:
-    """The inner point nearest in angle about z to the middle of what each triangle spans.
+    """For each triangle the inner point nearest in angle about z to the middle of its span.
 
-    So both triangles of an edge that runs along the ring get the same.
+    So both triangles at an edge that runs along the ring get the same one.
     """
     x, y, _ = points[triangles].T
     angle = np.arctan2(y, x)
@@ -113,12 +113,12 @@ def _apexes(points: Array, triangles: Triangles, inner: Array) -> Triangles:
 
 
 def rgba(colour: str, alpha: float = 1.0) -> Rgba:
-    """A colour of the pictures, "#rrggbb"."""
+    """Drake's colour of "#rrggbb"."""
     return Rgba(*(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)), alpha)
 
 
 def painted(domain: Domain, colour: Rgba) -> list[tuple[Mesh, Rgba]]:
-    """The true surface in two sets of patches of two shades: rolling shows."""
+    """The true surface as two meshes of alternate patches, in two shades, so that rolling shows."""
     q, triangles = domain.base(domain.patches)
     dark = np.arange(len(triangles)) % 2 == 1
     for _ in range(FINER):

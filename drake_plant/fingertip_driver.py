@@ -1,7 +1,7 @@
 r"""Forces that move free fingertips as planned relative to a moving object.
 
-A fingertip is a free body, whose wrench is the law of `tip_law`. Slip is rejected with the planned
-curve held: to plan anew from where a pushed finger is adds slip.
+A fingertip is a free body; `tip_law` gives the wrench on it. Also while slip is fed back it tracks
+the planned curve: a new plan from where a pushed finger is would add slip.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from .scratch import FingerTables, PerThread
 from .tip_law import POINT, STIFF, driving_law, tip_constants
 
 ROUNDING = 1e-9
-"""Of a time that is a sum of steps."""
+"""Relative error of a time that is a sum of steps."""
 OFF = 1e-4
-"""Of a finger's size, how far its mass centre may be from its origin."""
+"""How far a finger's mass centre may be from its origin, as a fraction of its size."""
 
 
 class FingertipDriver(LeafSystem):
-    """Planned motion relative to the object, and the object's own, to forces on the fingertips.
+    """Forces on the fingertips that make them move relative to the object as planned.
 
     .. pydrake_system::
 
@@ -52,35 +52,35 @@ class FingertipDriver(LeafSystem):
         output_ports:
         - spatial_forces
 
-    The first is :class:`ContactPlanner`'s output, the next three are the plant's. The accelerations
-    of a continuous plant depend on the forces that are made of them; it gives the contact forces of
-    the object's model instance instead, which with gravity are taken to move the object. What is
-    optional is zero where nothing is connected:
+    `motion` is :class:`ContactPlanner`'s output, the next three are the plant's. The accelerations
+    of a continuous plant depend on the forces that this system computes from them. So it takes the
+    contact forces on the object's model instance instead, and computes the object's acceleration
+    from these and gravity alone. Optional ports:
 
     - `contact_forces` (3n): forces of the fingers on the object in the world, N, as a
-      :class:`ForceBalancer` gives them; where nothing is connected, the configuration's
-      ``normal_force`` along each planned normal.
-    - `sliding` (3n): slip to be rejected, as :class:`ContactMonitor` gives it.
-    - `push` (3n + 3): forces in the world on the fingers and on the object, N.
+      :class:`ForceBalancer` gives them; if not connected, the configuration's ``normal_force``
+      along each planned normal.
+    - `sliding` (3n): slip to be rejected, as :class:`ContactMonitor` gives it; else zero.
+    - `push` (3n + 3): forces in the world on the fingers and on the object, N; else zero.
 
-    The output is a list of ExternallyAppliedSpatialForce, one a fingertip and one on an object that
-    is pushed, at their mass centres.
+    The output is a list of ExternallyAppliedSpatialForce at mass centres: one for each fingertip,
+    and one for the object if it is pushed.
 
     Parameters
     ----------
     scene_plant : ScenePlant
-        Finalized; if it is discrete, with sampled output ports as Drake's own are, and if it is
-        continuous, with an object that is free, alone in its model instance, or welded to the
-        world. Its configuration says the normal force and the gains, its bodies' defaults the
-        masses, whatever a Context says.
+        Finalized. If it is discrete it needs sampled output ports, which Drake's plants have by
+        default; if it is continuous the object must be free and alone in its model instance, or
+        welded to the world. Normal force and gains are those of its configuration, masses those
+        of its bodies' defaults, even if a Context has others.
 
     Raises
     ------
     SceneError
-        A discrete plant without sampled output ports, or whose steps are too long for a finger; a
-        continuous one with its object on joints; a finger that is not free, or whose mass centre is
-        not its origin; in a simulation a time beyond the scene's end, up to which the meshes of
-        AddScenePlant reach.
+        A discrete plant without sampled output ports, or with steps too long for a finger; a
+        continuous one with the object on joints; a finger that is not free, or whose mass centre is
+        not at its origin; in a simulation a time beyond the scene's end, where the meshes of
+        AddScenePlant end.
     """
 
     __slots__ = NO_DICTIONARY
@@ -89,7 +89,7 @@ class FingertipDriver(LeafSystem):
         super().__init__()
         of_kind(ScenePlant, scene_plant, "scene_plant", "a ScenePlant")
         fingers, plant, body = scene_plant.finger_bodies, scene_plant.plant, scene_plant.object_body
-        # What the plant is made from; the plant itself would keep this system for ever.
+        # Keep what the plant is made from: a reference to the plant would keep this system alive.
         self.scene, self.config = scene_plant.scene, scene_plant.config
         self.object_index = int(body.index())
         self._inertia = copy(body.default_spatial_inertia())
@@ -122,7 +122,7 @@ class FingertipDriver(LeafSystem):
         o, law = self.object_index, self._laws.own
         x, n, given = law.x, len(self.finger_indices), self._accelerating.Eval(context)
         law.put(X, V, o, self.finger_indices)
-        x["A_WO"][:] = given[o].get_coeffs() if self._discrete else self._Falling(X[o], V[o], given)
+        x["A_WO"][:] = given[o].get_coeffs() if self._discrete else self._A_WO(X[o], V[o], given)
         x["motion"][:] = self._motion.Eval(context).reshape(n, -1)
         for name, port in self._optional.items():
             given = port.HasValue(context)
@@ -136,8 +136,8 @@ class FingertipDriver(LeafSystem):
             forces.append(_force(o, np.append(np.zeros(3), pushed), self._inertia.get_com()))
         output.set_value(forces)
 
-    def _Falling(self, X_WO: RigidTransform, V_WO: SpatialVelocity, contact: Array) -> Array:
-        """A_WO of the object by gravity and its contacts, whose forces are none if it is welded."""
+    def _A_WO(self, X_WO: RigidTransform, V_WO: SpatialVelocity, contact: Array) -> Array:
+        """A_WO by gravity and generalized contact forces (6,), or (0,) if the object is welded."""
         if not contact.size:
             return np.zeros(6)
         R_WO, V = X_WO.rotation().matrix(), V_WO.get_coeffs()
@@ -164,26 +164,25 @@ def _refuse_beyond(scene: Scene, context: Context) -> None:
 
 
 def _check(parts: ScenePlant) -> None:
-    """Refuse what the forces are not made for, such as steps in which nothing explicit can hold a
-    finger.
+    """Refuse plants that the forces are not made for, and steps too long for the explicit spring.
 
-    A force N that presses a body of size a on one of size b pushes it off with N/(a + b) times the
-    error.
+    The spring must be stiffer than N/(a + b): a force N that presses a body of size a on one of
+    size b pushes it on by N/(a + b) times its distance from its place.
     """
     scene, config, plant, obj = parts.scene, parts.config, parts.plant, parts.object_body
     step, floats = plant.time_step(), obj.is_floating_base_body()
     alone = plant.num_velocities(obj.model_instance()) == 6 * floats
-    if step and not plant.has_sampled_output_ports():  # Drake would tell of an algebraic loop
+    if step and not plant.has_sampled_output_ports():  # Drake would report an algebraic loop
         raise SceneError(
             f"{scene.title}: the plant has no sampled output ports, so that its accelerations "
-            "depend on the forces that are made from them; give MultibodyPlantConfig "
+            "depend on the forces that are computed from them; give MultibodyPlantConfig "
             "use_sampled_output_ports=True"
         )
     if not step and not (alone and (floats or plant.IsAnchored(obj))):
         raise SceneError(
             f"{scene.title}: time_step = 0: the object is on a joint, or with others in its model "
-            "instance, so that its acceleration is not known beforehand; give it a model instance "
-            "of its own, or a time step, such as 0.001 s"
+            "instance, so that contact forces alone do not tell its acceleration; give it a model "
+            "instance of its own, or a time step, such as 0.001 s"
         )
     joints = list(map(plant.get_joint, plant.GetJointIndices()))
     for i, (contact, body) in enumerate(zip(scene.contacts, parts.finger_bodies)):
@@ -193,15 +192,15 @@ def _check(parts: ScenePlant) -> None:
             if parent == body.index() or (child == body.index() and not free):
                 raise SceneError(
                     f"{scene.title}, contact {i}: body '{body.name()}' is not free, but has the "
-                    f"joint '{joint.name()}'; forces are made for a body that moves alone: take "
+                    f"joint '{joint.name()}'; forces are for a body that moves alone: take "
                     "the joint away, and make one body of several that are welded together"
                 )
         mass, center = body.default_mass(), body.default_com()
         if not np.linalg.norm(center) <= OFF * contact.finger.size:
             raise SceneError(
                 f"{scene.title}, contact {i}: the mass centre of body '{body.name()}' is at "
-                f"{center.tolist()} m in its frame; forces are made for one at the origin, which "
-                "is that of the finger's surface: give the body such an inertia"
+                f"{center.tolist()} m in its frame; it has to be at the origin, which is that of "
+                "the finger's surface: give the body such an inertia"
             )
         borne = STIFF * mass / step**2 if step else math.inf
         needed = config.normal_force / (contact.finger.size + scene.object.size)

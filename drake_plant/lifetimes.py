@@ -1,17 +1,17 @@
-"""Systems written in Python that can be freed again.
+"""How to write systems in Python that are freed when nobody needs them any more.
 
-A Diagram with a Python LeafSystem in it lives for ever (Drake 1.51, 40 MB for a station;
-github.com/RobotLocomotion/drake/issues/22515), for three reasons that the garbage collector does
-not see through:
+A Diagram with a Python LeafSystem in it is never freed (Drake 1.51, 40 MB for a station;
+github.com/RobotLocomotion/drake/issues/22515), as the garbage collector does not recognize three
+kinds of reference cycles:
 
-* callbacks: C++ keeps a bound method, and with it the system, which keeps C++. :func:`weakly`
-  makes a callback that does not hold its system;
-* the instance's dictionary: a Python subclass of a pybind11 class has it visited twice, so that the
-  collector counts one reference too few and takes the cycle for alive. A class with
-  ``__slots__ = NO_DICTIONARY`` has only that of its base, visited once;
-* cache entries: the object that DeclareCacheEntry returns holds its system out of the collector's
-  sight. A system that needs an entry keeps its index and asks ``get_cache_entry``:
-  :func:`array_entry` does.
+* callbacks: C++ keeps a bound method, and with it the system, which keeps the C++ object.
+  :func:`weakly` makes a callback that does not keep its system;
+* the instance's dictionary: of a Python subclass of a pybind11 class it is visited twice, so that
+  the collector counts one reference too few and takes the cycle for alive. A class with
+  ``__slots__ = NO_DICTIONARY`` has only its base's dictionary, visited once;
+* cache entries: the object that DeclareCacheEntry returns keeps its system, and the collector does
+  not see it. A system that needs an entry keeps the entry's index and calls ``get_cache_entry``,
+  as :func:`array_entry` does.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from pydrake.systems.framework import BasicVector, Context, DependencyTicket, Va
 from contact_system.checks import Array
 
 NO_DICTIONARY: tuple[str, ...] = ()
-"""``__slots__`` of a system; its attributes go into its base's dictionary."""
+"""``__slots__`` of a system's class: attributes go into the dictionary of its base."""
 
 
 def weakly(method: Callable, *first: Any) -> Callable:
-    """The bound method as a callback that does not keep its object; ``first`` are arguments before
-    those of the caller."""
+    """The bound method as a callback that does not keep its object alive; it passes ``first``
+    before the caller's arguments."""
     bound: Any = method
     owner, function = weakref.ref(bound.__self__), bound.__func__
     return lambda *arguments: function(owner(), *first, *arguments)
@@ -44,11 +44,11 @@ def array_entry(
 ) -> tuple[DependencyTicket, Callable[[Context], Array]]:
     """Declare a cache entry for the array that a system's method computes from a Context.
 
-    Returns its ticket, and a function that gives a Context's array; what is written there stays
-    until it is computed again.
+    Returns the entry's ticket, and a function that gives a Context's array. The array may be
+    written to; changes stay until the entry is computed again.
 
-    A vector holds it: Drake copies Contexts without Python's lock when it evaluates batches, and a
-    Python object in one would end the process.
+    The entry is a Drake vector, not a Python object: when Drake evaluates batches it copies
+    Contexts without holding Python's lock, and copying a Python object would end the process.
     """
     made, zeros = weakly(calc), BasicVector(np.zeros(math.prod(shape)))
     system: Any = calc.__self__  # type: ignore[attr-defined]

@@ -1,7 +1,7 @@
 r"""Triangle meshes of surfaces for hydroelastic contact: right on average at any resolution.
 
-A mesh whose vertices lie ON a surface lies inside a convex one and outside a concave one. Over a
-triangle with edges e the surface stands off its facet, along the normal, by
+A mesh whose vertices lie on a surface lies inside a convex one and outside a concave one. Over a
+triangle with edges e the distance from facet to surface, along the normal, is
 
 .. math:: \bar s = \tfrac1{24} \sum_{e} \mathrm{II}(e, e), \qquad
           \mathrm{II}(e, e) \approx (n_j - n_i) \cdot (x_j - x_i)
@@ -9,16 +9,16 @@ triangle with edges e the surface stands off its facet, along the normal, by
 on average (the integral of a quadratic form over a triangle), so vertices are moved by that much:
 the mean surface is the true one, and a coarse mesh gives the force that a fine one converges to.
 
-How long edges may be depends on both bodies. Two bodies pressed together by a depth d meet where
-the gap ``(K_1 + K_2)(e, e)/2`` between them is less than d, so an edge is measured by the gap that
-opens along it: meshes with equal gaps put equally many triangles into a contact patch, whatever the
-curvatures, and what counts here is the mean gap at the planned curve. Base meshes are subdivided,
-where asked for only within a strip about that curve.
+How long edges may be depends on both bodies. Pressed together by a depth d, they touch where the
+gap ``(K_1 + K_2)(x, x)/2`` at x from the deepest point is less than d. So edges e are chosen by the
+gap for x = e: with equal gaps equally many triangles are in a contact patch, whatever the
+curvatures. The mean gap at the planned curve counts. A coarse base mesh is subdivided, a large one
+only within a strip about that curve.
 
 Surfaces that close around a centre start from an icosahedron, others from squares of their chart. A
-domain has points and unit normals out of the body of coordinates (``place``), coordinates half way
-between others (``midpoints``), and coordinates and triangles of a mesh of so many parts a side
-(``base``), of which ``coarsest`` are the fewest and ``patches`` those painted in two shades.
+domain has its own coordinates of the surface. ``place`` gives their points and unit normals out of
+the body, ``midpoints`` the coordinates half way between others, and ``base`` those of a mesh, and
+its triangles, with so many parts a side: at least ``coarsest``; ``patches`` for the two shades.
 
 SI units, radians.
 """
@@ -46,9 +46,9 @@ from contact_system.surfaces import (
 
 Triangles = NDArray[np.int64]
 
-WHOLE = 10_000  # triangles; above, a strip saves time to build (a query takes as long with it)
+WHOLE = 10_000  # triangles; larger meshes are fine in a strip only, to be built in less time
 LARGEST = 200_000  # triangles; Drake needs 60 us for each when it builds and again for a Context
-FLAT = 0.9  # least cosine between a triangle's normals, in or out of the strip
+FLAT = 0.9  # least cosine between the normals of a triangle, also outside the strip
 MEAN_SAGITTA = 1 / 24  # of the sum of II(e, e) over a triangle's edges
 
 
@@ -56,10 +56,10 @@ MEAN_SAGITTA = 1 / 24  # of the sum of II(e, e) over a triangle's edges
 
 
 class RoundDomain:
-    """A surface around a centre; coordinates are unit vectors.
+    """A surface that closes around a centre; its coordinates are unit vectors.
 
-    They are mapped linearly to the ellipsoid x^T A x = 1, which makes II(e, e) the same in all
-    directions, and from the sphere along rays to other surfaces.
+    For quadrics they are mapped linearly to x^T A x = 1, which makes II(e, e) the same in all
+    directions; for other surfaces they are mapped to a sphere, and along rays to the surface.
     """
 
     def __init__(self, surface: Surface):
@@ -89,11 +89,11 @@ class RoundDomain:
 
 
 class ChartDomain:
-    """A rectangle of a chart; coordinates (u, v), closed where the chart is periodic.
+    """A rectangle of a chart, with coordinates (u, v); periodic coordinates are taken all round.
 
     curve : (m, 3), points that the rectangle has to contain, m
     margin : how far it reaches beyond them, m
-    opposing : mean curvature of the other body, 1/m; the sides of squares open the same gap
+    opposing : mean curvature of the other body, 1/m, so that both sides of squares open one gap
     """
 
     def __init__(self, surface: Surface, curve: Array, margin: float, opposing: float):
@@ -110,7 +110,7 @@ class ChartDomain:
         for w, h, period in zip((u, v), lame, periods):
             lo, hi = np.nanmin(w) - margin / h, np.nanmax(w) + margin / h
             spans.append((lo, hi) if period is None else (0.0, period))
-        if isinstance(surface, Cylinder):  # so that its mass centre is the body's origin
+        if isinstance(surface, Cylinder):  # symmetric, so that the mass centre is at the origin
             spans[1] = (-max(map(abs, spans[1])), max(map(abs, spans[1])))
         self._first, last = np.transpose(spans)
         self._sides = last - self._first
@@ -122,9 +122,9 @@ class ChartDomain:
 
     def place(self, q: Array) -> tuple[Array, Array]:
         points, normals = self.surface.point(*q.T), self.surface.normal(*q.T)
-        lost = ~np.all(np.isfinite(normals), axis=1)
-        if np.any(lost):
-            raise no_normal(self.surface, points[lost][0])
+        missing = ~np.all(np.isfinite(normals), axis=1)
+        if np.any(missing):
+            raise no_normal(self.surface, points[missing][0])
         return points, normals
 
     def midpoints(self, a: Array, b: Array) -> Array:
@@ -148,7 +148,7 @@ Domain = RoundDomain | ChartDomain
 
 
 def domain_of(surface: Surface, curve: Array, margin: float, opposing: float) -> Domain:
-    """The coordinates that suit a surface; see `ChartDomain` for the parameters."""
+    """The domain for a surface; see `ChartDomain` for the parameters."""
     if surface.chart.central:
         return RoundDomain(surface)
     return ChartDomain(surface, curve, margin, opposing)
@@ -159,7 +159,7 @@ def _unit(x: Array) -> Array:
 
 
 def _gradient(surface: ImplicitSurface, points: Array) -> Array:
-    """Gradient of the level function as it is written: its slopes along the axes, (n, 3)."""
+    """Gradient of the equation F, as its slopes along the axes, (n, 3)."""
     n = len(points)
     given = np.vstack([np.tile(points.T, 3), np.repeat(np.eye(3), n, axis=1)])
     return run(surface.tables.ray, given, surface.numbers)[1].reshape(3, n).T
@@ -184,7 +184,7 @@ def no_normal(surface: Surface, at: Array) -> SurfaceError:
     if isinstance(surface, ParametricSurface):
         remedy += "; if (u, v) in u_range and v_range cover places twice, give ranges that do not"
     return SurfaceError(
-        f"{surface!r}: the normal is lost or turns too fast for a mesh about the point "
+        f"{surface!r}: the normal does not exist or turns too fast for a mesh about the point "
         f"{at.round(6).tolist()}, a pole of its chart or an edge; contact needs a mesh there: "
         f"{remedy}"
     )
@@ -204,14 +204,14 @@ class SurfaceMesh:
 
     @property
     def closed(self) -> bool:
-        """Whether every edge has a triangle on both sides."""
+        """Whether every edge belongs to two triangles."""
         edges, of = edges_of(self.triangles)
         return bool(np.all(np.bincount(of.ravel(), minlength=len(edges)) == 2))
 
     def corrected(self) -> Array:
         """Vertices moved along their normals so that the mean surface is the true one, (n, 3), m.
 
-        A vertex takes the mean sagitta of its faces, weighted by their areas.
+        A vertex moves by the mean sagitta of its triangles, weighted by their areas.
         """
         corner, normal = self.points[self.triangles], self.normals[self.triangles]
         edge = np.roll(corner, -1, axis=1) - corner
@@ -223,7 +223,7 @@ class SurfaceMesh:
         return self.points + shift[:, None] * self.normals
 
     def gaps(self, opposing: float) -> Array:
-        """How far a body of mean curvature ``opposing``, 1/m, recedes along edges: (m, 3), m."""
+        """The gap to a body of mean curvature ``opposing``, 1/m, along each edge: (m, 3), m."""
         edge, tilt = (
             np.roll(w[self.triangles], -1, axis=1) - w[self.triangles]
             for w in (self.points, self.normals)
@@ -237,9 +237,9 @@ def contact_mesh(
     """A mesh of a surface for contact along a curve (m, 3).
 
     opposing : mean curvature there of the body that touches it, 1/m
-    gap : that shall open along an edge, m
-    strip : distance from the curve within which it is fine, where it would have more than 10 000
-        triangles otherwise, m
+    gap : wanted along edges, m
+    strip : distance from the curve, m, up to which the mesh is fine if it would have more than
+        10 000 triangles when fine everywhere
     """
     size = _parts(domain, curve, opposing, gap)
     levels = max(0, math.floor(math.log2(size / domain.coarsest)))
@@ -249,7 +249,7 @@ def contact_mesh(
     for _ in range(levels):
         chosen = np.ones(len(triangles), dtype=bool)
         if not everywhere:
-            # Wider than the strip by what borders on it, which is split for conformity only.
+            # Beyond the strip by one triangle, as refinement splits neighbours only for conformity.
             x, n = (w[triangles] for w in domain.place(q))
             reach = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
             chosen = near.query(x.mean(axis=1))[0] < strip + reach
@@ -269,7 +269,7 @@ def contact_mesh(
 
 
 def _parts(domain: Domain, curve: Array, opposing: float, gap: float) -> float:
-    """How fine a base mesh would have to be to open ``gap`` along its edges at the curve."""
+    """Parts a side that a base mesh needs so that ``gap`` opens along its edges at the curve."""
     q, triangles = domain.base(domain.coarsest)
     mesh = SurfaceMesh(*domain.place(q), triangles)
     at = cKDTree(mesh.points[triangles].mean(axis=1)).query(curve)[1]
@@ -279,7 +279,7 @@ def _parts(domain: Domain, curve: Array, opposing: float, gap: float) -> float:
 def refined(
     domain: Domain, q: Array, triangles: Triangles, chosen: NDArray[np.bool_]
 ) -> tuple[Array, Triangles]:
-    """Split the chosen triangles in four, and what borders on them so that no vertex hangs.
+    """Split the chosen triangles in four, and their neighbours so that no vertex hangs.
 
     Red-green refinement: Bank, Sherman, Weiser, Scientific Computing (1983).
     """
@@ -303,7 +303,7 @@ def refined(
 
 
 def edges_of(triangles: Triangles) -> tuple[Triangles, Triangles]:
-    """Edges (n, 2) and the numbers (m, 3) of each triangle's: 01, 12, 20."""
+    """Edges (n, 2), and the numbers (m, 3) of each triangle's edges, from corners 01, 12, 20."""
     pairs = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1)
     flat = pairs.reshape(-1, 2)
     code = flat[:, 0] * (flat.max() + 1) + flat[:, 1]

@@ -1,4 +1,4 @@
-"""CasADi functions of Drake's other scalars: the same instructions, replayed."""
+"""CasADi functions evaluated with Drake's other scalars, AutoDiffXd and Expression."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from contact_system.theory.lowering import replay
 
 
 def select(condition: Any, value: Any, otherwise: Any) -> Any:
-    """A value by a condition, which may be a Formula."""
+    """``value`` where the condition holds, else ``otherwise``; the condition may be a Formula."""
     if isinstance(condition, Formula):
         return if_then_else(condition, Expression(0.0) + value, Expression(0.0) + otherwise)
     return value if condition else otherwise
@@ -32,7 +32,7 @@ def _truncated(a: Any) -> Any:
 
 
 _NAMES = "exp log sqrt sin cos tan asin acos atan atan2 sinh cosh tanh floor ceil".split()
-_OPERATIONS: dict[int, Callable[..., Any]] = {  # all that tables have
+_OPERATIONS: dict[int, Callable[..., Any]] = {  # all operations of tables
     **{getattr(ca, f"OP_{name.upper()}"): getattr(drake_math, name) for name in _NAMES},
     ca.OP_FABS: drake_math.abs,
     ca.OP_FMIN: drake_math.min,
@@ -57,7 +57,7 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {  # all that tables have
     ca.OP_COPYSIGN: lambda a, b: select(b >= 0.0, drake_math.abs(a), -drake_math.abs(a)),
     ca.OP_SIGN: lambda a: select(a > 0.0, 1.0, select(a < 0.0, -1.0, 0.0)),
     ca.OP_FMOD: lambda a, b: a - b * _truncated(a / b),
-    # a condition is a number again, as it is for CasADi
+    # for CasADi the result of a condition is a number, 1 or 0
     ca.OP_LT: lambda a, b: select(a < b, 1.0, 0.0),
     ca.OP_LE: lambda a, b: select(a <= b, 1.0, 0.0),
     ca.OP_EQ: lambda a, b: select(a == b, 1.0, 0.0),
@@ -70,6 +70,6 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {  # all that tables have
 
 
 def evaluate_scalars(function: ca.Function, arguments: Sequence[Any], T: type) -> np.ndarray:
-    """The first output of a CasADi function of Drake's AutoDiffXd or Expression: (n,) of T."""
+    """The first output of a CasADi function as AutoDiffXd or Expression: (n,), of type T."""
     (values, *_) = replay(function, arguments, lambda op, x: _OPERATIONS[op](*x))
     return np.array([v if isinstance(v, T) else T(v) for v in values])

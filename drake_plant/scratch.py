@@ -1,4 +1,4 @@
-"""Where numbers are evaluated: tables on registers of their own, a set for each thread."""
+"""Memory in which systems evaluate tables of instructions, a set for each thread."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from contact_system.theory.lowering import Table
 
 
 class Scratch:
-    """What one thread evaluates with: arrays, and machines that read and write them.
+    """Arguments of a SceneSystem's functions, and machines that evaluate them, for one thread.
 
     Attributes
     ----------
-    t, x, w, held : arguments of `SceneSystem.function`, the first of `given`
-    same : between these times w stays as it is
-    written : t and x, as they are written fastest
-    rates : run, guard and derivatives of the machine of the derivatives
+    t, x, w, held : arrays, the arguments of `SceneSystem.function` but for p; `given` is all four
+    same : w is the same at all times between these two
+    written : t and x as memoryviews, which are written faster than arrays
+    rates : run, guard and derivatives of the machine that computes derivatives
     """
 
     def __init__(self, system: SceneSystem):
@@ -52,11 +52,11 @@ class Scratch:
 
 
 class FingerTables:
-    """A table run for several fingers, one after the other, for one thread.
+    """A table that is evaluated for each finger, for one thread.
 
-    points : what it takes, a row a finger; x : the same by name, poses (n, 3, 4)
+    points : the table's arguments, a row per finger; x : the same by name, poses (n, 3, 4)
     results : (n, n_out)
-    machines : one a finger
+    machines : one per finger
     """
 
     def __init__(self, table: Table, sizes: dict[str, int], constants: Sequence[list[float]]):
@@ -70,7 +70,7 @@ class FingerTables:
         self.results = registers[:, table.first_out :][:, : table.n_out]
 
     def put(self, X_W: Any, V_W: Any, obj: int, fingers: list[int]) -> None:
-        """Where object and fingers are, and how they move, of Drake's lists of all bodies."""
+        """Set poses and velocities of object and fingers, from Drake's lists of all bodies."""
         x = self.x
         x["X_WO"][:], x["V_WO"][:] = X_W[obj].GetAsMatrix34(), V_W[obj].get_coeffs()
         for body, pose, velocity in zip(fingers, x["X_WF"], x["V_WF"]):
@@ -82,13 +82,13 @@ class FingerTables:
 
 
 def slices(sizes: dict[str, int]) -> dict[str, slice]:
-    """Where parts of so many numbers each are in a row, by their names."""
+    """The columns of named parts that follow each other in a row; sizes: how many each part has."""
     ends = np.cumsum([*sizes.values()]).tolist()
     return dict(zip(sizes, map(slice, [0, *ends], ends)))
 
 
 def named(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
-    """Symbols by their names; of a pose X R and p, of a velocity V w and v, of A alpha and a."""
+    """Symbols of a row, and its parts by name; of X_WB also R_WB, p_WB, of V w, v; A alpha, a."""
     every = ca.SX.sym("x", sum(sizes.values()))
     found = {name: every[part] for name, part in slices(sizes).items()}
     for name, value in list(found.items()):
@@ -102,10 +102,10 @@ def named(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
 
 
 class PerThread(threading.local):
-    """``own`` is what was made for the thread that asks.
+    """``own`` is the object that was made for the calling thread.
 
-    A System is const, and threads that share one have a Context each. ``made`` keeps them by
-    ``get_ident()``: to ``threading.local`` a thread of Drake's own is a new one at every call.
+    Threads may share a System, with a Context each. ``made`` keeps the objects by ``get_ident()``,
+    as ``threading.local`` takes a thread that Drake started for a new one at every call.
     """
 
     def __init__(self, make: Callable[[], Any], made: dict[int, Any]):

@@ -1,19 +1,18 @@
-r"""The law at a fingertip, free or on joints: the wrench that moves it as wanted.
+r"""The control law of a fingertip, free or on joints: the wrench that makes it move as wanted.
 
-About the tip's origin it is what mass and inertia need for the wanted motion, the contact force at
-the contact point, tracking of place and spin, and an acceleration of -lam times the slip that is
-really there, which is the paper's own term.
+It is the sum, about the tip's origin, of what the wanted motion needs for mass and inertia, the
+contact force at the contact point, a spring and dampers that track position and spin, and, as in
+the paper, the acceleration lam v_rel for a measured slip v_rel.
 
-Free tips and tips on joints differ in what is wanted, and in ``hold``. A free tip follows the
-object wherever it is measured to be, and along the normal it has a damper alone, so that the
-contact decides how far the finger sinks in: ``hold = 0``. If all did so on a hand nothing would
-keep the object in its place. Tips on joints hold it: what they want stays in the world, and the
-spring acts along the normal too, ``hold = 1``.
+Free tips and tips on joints differ in the wanted motion, and in ``hold``. A free tip follows the
+object wherever it is measured to be. Along the normal it has only a damper, so that contact decides
+how deep it is pressed in: ``hold = 0``. On a hand, nothing would then keep the object in its place.
+So tips on joints track a motion in the world, with a spring along the normal too: ``hold = 1``.
 
-In a discrete plant (semi-implicit Euler, step h) a velocity at t_k moved the body from t_{k-1} to
+In a discrete plant (semi-implicit Euler, step h) the velocity at t_k moved the body from t_{k-1} to
 t_k, so the velocity to track is that of half a step ago; the object's, which is measured, is that
-already. The error lives in a frame that turns with the contact normal at Omega = n x n'.
-docs/drake-contact.md says what each term is worth.
+already. The tracking error is resolved in a frame that turns with the contact normal at
+Omega = n x n'. docs/drake-contact.md says what each term is worth.
 """
 
 from __future__ import annotations
@@ -34,31 +33,31 @@ from .plant import ScenePlant, gravity_on
 from .scratch import named, slices
 
 SHARE, STIFF = 0.4, 0.1
-"""Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
-may take over h; a damper's d and a spring's s are stable where 0 < d and s + 2 d < 4. The object
-moves, too: one as light as its fingers turns with them, and a spring of 0.4 shakes both."""
+"""Greatest d = c h/m of an explicit damper c, and s = k h^2/m of an explicit spring k, for a mass m
+and steps h. They are stable where 0 < d and s + 2 d < 4; but the object moves too: one as light as
+its fingers turns with them, and a spring of 0.4 shakes both."""
 
 SLIP_SHARE = 0.8
-"""Of slip what may be taken away in a step: more would turn it over where friction helps."""
+"""The part of slip that feedback may remove in a step: more, with friction, would reverse slip."""
 
 TIP = {"X_WF": 12, "V_WF": 6, "contact_force": 3}
-"""What is true of a tip: its pose, row by row, its velocity, the angular part first, and the force
-that it shall exert on the object."""
+"""State of a tip: its pose, row by row, and velocity, the angular part first; and the force that it
+is to exert on the object."""
 WANTED = {"p_WT": 3, "V_WT": 6, "A_WT": 6, "normal": 3, "turning": 3, "arm": 3}
-"""The tip as it should be, T: its place, velocity and acceleration, the contact's normal, how fast
-that turns, and the contact point from the tip's origin."""
+"""The tip as it should be, T: its position, velocity and acceleration; the contact's normal and its
+angular velocity; the contact point, from the tip's origin."""
 CONSTANT = {"h": 1, "mass": 1, "inertia": 9, "gravity": 3}
 CONSTANT |= dict.fromkeys((*GAINS, "slip_gain", "hold"), 1)
 POINT = {"X_WO": 12, "V_WO": 6, "A_WO": 6, **TIP, "motion": sum(MOTION.values())}
 POINT |= {"sliding": 3, "push": 3, "normal_force": 1}
-"""What a step's law is made of."""
+"""Inputs of the law of a free tip."""
 HELD = {**TIP, "slip": 3, **WANTED}
-"""What the law of a tip on joints is made of."""
+"""Inputs of the law of a tip on joints."""
 
 
 @per_structure
 def driving_law() -> Table:
-    """Table of one finger: `POINT`, `CONSTANT` -> torque (3), force (3), in the world."""
+    """Table of a free tip: `POINT`, `CONSTANT` -> torque (3), force (3), in the world."""
     point, x = named(POINT)
     constant, c = named(CONSTANT)
     plan = {name: x.motion[part] for name, part in slices(MOTION).items()}
@@ -73,7 +72,7 @@ def driving_law() -> Table:
 
 
 def _want(x: SimpleNamespace, normal: ca.SX, normal_rate: ca.SX, h: ca.SX) -> None:
-    """Add the plan carried by the object, in the world, as a discrete plant needs it: `WANTED`."""
+    """Add `WANTED`, the plan carried by the object, in the world; velocities of half a step ago."""
     cross = ca.cross
     off, v, spin = x.R_WO @ x.p_OF, x.R_WO @ x.v_OF, x.R_WO @ x.w_OF
     swept = cross(x.w_WO, off)
@@ -88,26 +87,26 @@ def _want(x: SimpleNamespace, normal: ca.SX, normal_rate: ca.SX, h: ca.SX) -> No
 
 @per_structure
 def holding_law() -> Table:
-    """Table of one tip on joints: `HELD`, `CONSTANT` -> torque (3), force (3), in the world."""
+    """Table of a tip on joints: `HELD`, `CONSTANT` -> torque (3), force (3), in the world."""
     point, x = named(HELD)
     constant, c = named(CONSTANT)
     return Table(ca.Function("holding", [point, constant], [ca.densify(tip_wrench(x, c))]))
 
 
 def tip_wrench(x: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
-    """Torque and force on a tip about its origin, in the world as all that they are made of.
+    """Torque and force on a tip about its origin; all vectors are in the world.
 
-    x : `HELD`; slip is v_rel (minus the tip's velocity on the object) where it is to be rejected
+    x : `HELD`; slip is v_rel where it is to be rejected, else 0
     c : `CONSTANT`
     """
     return ca.vertcat(_torque(x, c), _force(x, c))
 
 
 def _force(x: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
-    """Feed-forward, contact, slip, tracking in the frame that turns with the contact."""
+    """Feed-forward, contact force, slip feedback, and tracking in the frame that turns with n."""
     cross, normal, turning = ca.cross, x.normal, x.turning
     error, error_rate = x.p_WT - x.p_WF, x.v_WT - x.v_WF
-    # The velocities are those of half a step ago, so the error has to be too.
+    # The velocities are those of half a step ago, so the error is taken then too.
     error_rate -= cross(turning, error - 0.5 * c.h * error_rate)
     a = x.a_WT - 2 * cross(turning, error_rate) - cross(turning, cross(turning, error))
     a += c.slip_gain * x.slip
@@ -118,21 +117,21 @@ def _force(x: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
 
 
 def _torque(x: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
-    """Feed-forward, the contact force through the contact point, damping of spin."""
+    """Feed-forward, the contact force at the contact point, damping of the tip's rotation."""
     inertia, w = x.R_WF @ ca.reshape(c.inertia, 3, 3) @ x.R_WF.T, x.w_WT
     torque = inertia @ x.alpha_WT + ca.cross(w, inertia @ w) + c.spin_gain * (w - x.w_WF)
     return torque + ca.cross(x.arm, x.contact_force)
 
 
 def tip_constants(body: RigidBody, parts: ScenePlant, hold: float) -> list[float]:
-    """`CONSTANT` of a tip; of each gain so much as its mass, or least inertia, bears."""
+    """`CONSTANT` of a tip, with gains limited to what is stable for its mass or least inertia."""
     config, h, mass = parts.config, parts.plant.time_step(), body.default_mass()
     inertia = body.default_spatial_inertia().CalcRotationalInertia().CopyToFullMatrix3()
     least = float(np.linalg.eigvalsh(inertia)[0])
 
-    # of each gain, what it moves, how much is borne, and to which power the step divides that
-    moved = (mass, STIFF, 2), *[(mass, SHARE, 1)] * 2, (least, SHARE, 1)
-    borne = [share * inert / h**order if h else math.inf for inert, share, order in moved]
-    gains = [min(getattr(config, name), most) for name, most in zip(GAINS, borne)]
+    # for each of GAINS: the mass or inertia that it moves, its share, the order in time
+    terms = (mass, STIFF, 2), *[(mass, SHARE, 1)] * 2, (least, SHARE, 1)
+    limits = [share * inert / h**order if h else math.inf for inert, share, order in terms]
+    gains = [min(getattr(config, name), most) for name, most in zip(GAINS, limits)]
     gains.append(min(config.slip_gain, SLIP_SHARE / h if h else math.inf))
     return [h, mass, *inertia.ravel(), *gravity_on(parts.plant, body), *gains, hold]

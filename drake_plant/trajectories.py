@@ -16,25 +16,25 @@ from contact_system.checks import Array, finite_number
 from contact_system.plan import require_plan
 
 FIRST, MOST = 64, 2**17
-"""Pieces of a trajectory at first, and the most before a tolerance is refused."""
+"""Number of pieces between edges at first, and the greatest; a tolerance that needs more fails."""
 
 
 @dataclass(frozen=True)
 class ContactTrajectories:
-    """How one finger moves relative to the object, of :func:`MakeTrajectories`; SI units.
+    """How one finger moves relative to the object; made by :func:`MakeTrajectories`. SI units.
 
-    Drake's trajectories cannot be pickled; these are, by what they are made from.
+    Drake's trajectories cannot be pickled. This object can: it is made anew from its arguments.
 
     Attributes
     ----------
     plan, contact, tolerance
     pose : PiecewisePose
-        X_OF: cubic positions, orientations by slerp. In a piece the angular part of its
-        ``GetVelocity`` is constant, and off by up to sqrt(2 tolerance times the angular
-        acceleration), by default up to 3e-3 of the greatest in the scenes of the package; that of
+        X_OF: cubic positions, orientations by slerp. In each piece the angular part of its
+        ``GetVelocity`` is constant, with an error of up to sqrt(2 tolerance times the angular
+        acceleration): by default up to 3e-3 of the greatest angular velocity in the bundled scenes.
         `twist` keeps the tolerance.
     twist : PiecewisePolynomial
-        V_OF_O, angular then linear, (6, 1); it jumps where a disturbance makes it.
+        V_OF_O, angular then linear, (6, 1); it jumps where a disturbance makes it jump.
     finger_point, object_point : PiecewisePolynomial
         The contact point, in F and in O, (3, 1).
     """
@@ -59,13 +59,13 @@ def MakeTrajectories(plan: Plan, contact: int = 0, tolerance: float = 1e-5) -> C
     plan : Plan
     contact : int
     tolerance : float
-        Of positions, as a fraction of the object's size, of orientations, rad, and of twists, as a
-        fraction of the greatest. Pieces are halved until all keep it.
+        Greatest error of positions, as a fraction of the object's size, of orientations, rad, and
+        of twists, as a fraction of the greatest. Pieces are halved until all errors are below it.
 
     Raises
     ------
     SceneError
-        No such contact, or a tolerance that 130 000 pieces do not keep.
+        No such contact, or a tolerance that takes more than 130 000 pieces.
     """
     require_plan(plan)
     count = len(plan.scene.contacts)
@@ -86,17 +86,17 @@ def MakeTrajectories(plan: Plan, contact: int = 0, tolerance: float = 1e-5) -> C
     return ContactTrajectories(plan, contact, tolerance, pose, twist, *points)
 
 
-@np.errstate(under="ignore")  # of slopes that rounding leaves
+@np.errstate(under="ignore")  # slopes that are 0 but for rounding underflow
 def _fitted(
     plan: Plan, contact: int, span: tuple[float, float], tolerance: float
 ) -> tuple[Array, Array, PiecewisePolynomial]:
-    """Breaks between two edges, (m + 1), rotations there, and cubics of the rest, (15, 1)."""
+    """Breaks between two edges, (m + 1,), rotations there, and cubics of all else, (15, 1)."""
     pieces = FIRST
     while pieces <= MOST:
         t = np.linspace(*span, 2 * pieces + 1)
-        asked = t.copy()
-        asked[-1] = np.nextafter(t[-1], t[0])  # a plan tells what is after an edge
-        found = plan.evaluate(asked, "twist", "pose", "points")
+        before = t.copy()
+        before[-1] = np.nextafter(t[-1], t[0])  # at an edge a plan gives what comes after it
+        found = plan.evaluate(before, "twist", "pose", "points")
         X, twist = found["pose"][:, contact], found["twist"][:, contact]
         values = np.hstack([twist, X[:, :3, 3], found["points"][:, contact].reshape(-1, 6)])
         breaks, spline = t[::2], CubicSpline(t[::2], values[::2])
@@ -112,9 +112,9 @@ def _fitted(
 
 
 def _error(spline: CubicSpline, t: Array, values: Array, turns: Array, size: float) -> float:
-    """The greatest half-way between breaks, in tolerances of 1; values and turns at all t."""
+    """The greatest error half-way between breaks; values and rotations are given at all t."""
     turning = np.linalg.norm(values[:, :3], axis=1).max()
-    if turning * (t[2] - t[0]) > 1.0:  # rad; whole turns in a piece look like none
+    if turning * (t[2] - t[0]) > 1.0:  # rad; a whole turn in a piece would look like no turn
         return np.inf
     greatest = [np.abs(values[:, k : k + 3]).max() or 1.0 for k in (0, 3)]
     scale = np.repeat([*greatest, size], [3, 3, 9])
