@@ -1,7 +1,7 @@
-"""A scene in Drake: the planner as a system, fingertips and object as a plant, wired and verified.
+"""A scene in Drake: the planner as a system, fingertips and object as a plant, and their Diagram.
 
-``contact-system drake D1`` runs it; :func:`BuildStation` and :func:`simulate` are where to start in
-Python.
+``contact-system drake D1`` simulates a scene; in Python start with :func:`BuildStation` or
+:func:`simulate`.
 """
 
 from importlib import import_module
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from .station import BuildHandStation, BuildStation, PushSource, SetInitialState
     from .trajectories import ContactTrajectories, MakeTrajectories
 
-__all__ = [  # what a star imports: FmuSystem needs fmpy
+__all__ = [  # without FmuSystem, as `import *` would then need fmpy
     "AddScenePlant",
     "BuildHandStation",
     "BuildStation",
@@ -70,7 +70,7 @@ __all__ = [  # what a star imports: FmuSystem needs fmpy
     "simulate_hand",
 ]
 
-_LATER = {
+_MODULES = {
     "balance": ("ForceBalancer", "balancing_forces"),
     "config": ("Push", "StationConfig"),
     "contact_monitor": ("ContactMonitor",),
@@ -92,15 +92,15 @@ _LATER = {
     "station": ("BuildHandStation", "BuildStation", "PushSource", "SetInitialState"),
     "trajectories": ("ContactTrajectories", "MakeTrajectories"),
 }
-"""What is not asked for is not imported: all of it together takes three times as long as Drake."""
+"""Modules are imported when a name of theirs is used: all take three times as long as Drake."""
 
 
 def __getattr__(name: str) -> Any:
-    for room, names in _LATER.items():
+    for module, names in _MODULES.items():
         if name in names:
-            return getattr(import_module(f"{__name__}.{room}"), name)
+            return getattr(import_module(f"{__name__}.{module}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *sum(_LATER.values(), ())})
+    return sorted({*globals(), *sum(_MODULES.values(), ())})

@@ -1,4 +1,4 @@
-"""The command ``contact-system drake``: simulate a scene with contact physics, measure, draw."""
+"""The command ``contact-system drake``: simulate a scene with contact physics, and report on it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from contact_system.cli import file_name, results_folder, written
 from contact_system.measures import REJECTED
 from contact_system.terminal import Progress, paragraph, table, tell
 
-# Drake takes a second to import, so functions import what needs it: help lists the command, too
+# Drake takes a second to import, so functions import what needs it: `contact-system --help` is fast
 if TYPE_CHECKING:
     from .hand_kinematics import Chains
     from .measures import ContactReport, HandReport
@@ -42,7 +42,7 @@ def register(commands: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate, tell, write; returns the exit code."""
+    """Simulate a scene, print tables, and write files; returns the exit code."""
     from .config import StationConfig
     from .plots import plot
     from .simulation import simulate
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
         result = simulate(scene, config, duration, progress=advance, recording=recording)
         opened = None
-        # a closed loop is judged by what it spares; of a hand no such table is told
+        # pushes are compared with those of the open loop, in a table that hands do not have
         if config.pushes and config.closed_loop and config.hand is None:
             opened = simulate(scene, config.opened(), duration, progress=advance)
     tell(*_told(result, opened))
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _setting(text: str) -> tuple[str, Any]:
-    """Of ``drake.friction=0.3`` the key and its value, as TOML has it, or a word."""
+    """The key and the value in ``drake.friction=0.3``; the value as in TOML, or a word."""
     key, equals, value = text.partition("=")
     table, _, name = key.strip().partition(".")
     if not equals or table != "drake" or not name:
@@ -135,7 +135,7 @@ def _explained(text: str) -> Iterable[str]:
 
 
 def _happened(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterable[str]:
-    """What any reader has to know before anything else."""
+    """What happened to the object and to contacts, so far as the table does not show it."""
     from .measures import LATELY, object_report
 
     found = object_report(result)
@@ -198,7 +198,7 @@ def _of_each(reports: Sequence[Any], key: str) -> list[Any]:
 
 
 def _table(*columns: tuple[str, str, Iterable[Any], str]) -> Iterable[str]:
-    """Columns: name, unit, values and how they are written."""
+    """A table of columns, each a name, a unit, values and their format."""
     head = [(name, unit) for name, unit, _, _ in columns]
     cells = [[_cell(form, x) for x in values] for _, _, values, form in columns]
     return (*table(head, list(zip(*cells)), 1), "")
@@ -254,7 +254,7 @@ def _of_joints(chains: Chains, told: HandReport) -> str:
 
 
 def _pushes(result: SimulationResult, opened: SimulationResult | None) -> Iterable[str]:
-    """What pushes did, with the loop as it is and open."""
+    """What pushes did, with the loop closed, if it is, and open."""
     from .measures import push_table
 
     loops = {"closed" if result.config.closed_loop else "open": push_table(result)}
@@ -284,7 +284,7 @@ def _pushes(result: SimulationResult, opened: SimulationResult | None) -> Iterab
 
 
 def _paper(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterable[str]:
-    """What the paper reports, beside the verdicts."""
+    """What the paper reports, to compare with the verdicts."""
     paper = result.scene.paper
     if "reports" not in paper:
         return

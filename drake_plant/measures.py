@@ -1,4 +1,4 @@
-"""Reports on a simulation: of each contact, pushed finger, object and hand, with verdicts."""
+"""Reports on a simulation: on each contact, with a verdict, each push, the object and the hand."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from .contact_monitor import SATURATED
 from .planner_base import EARLY
 from .simulation import CONTINUOUS, NEAR, HandResult, SimulationResult, simulate
 
-EDGE = 0.1  # s: what is so near to the start or to a disturbance's edge is transient
-STANDING = 1e-4  # of a contact's greatest speed: below, slip relative to its speed says nothing
-ROLLS = 1e-2  # of sigma, below which planned slip counts as rolling
+EDGE = 0.1  # s after the start, and around the edges of disturbances, that count as transient
+STANDING = 1e-4  # of a contact's greatest speed; slip over a lower speed is not meaningful
+ROLLS = 1e-2  # of sigma; a plan with less slip counts as rolling
 # A contact slides if slip is above so many times that before any disturbance, and so many m/s.
 SLIDING, CREEPING = 10.0, 1e-3
-CARRIED = 0.95  # part of its weight that carries an object
-ASTRAY = 0.5  # of its path's length, how far a contact is off that does not follow the plan
-LATELY, MOMENT = 0.5, 0.01  # s before the end that are judged, and in which a speed is measured
+CARRIED = 0.95  # of the weight; an object of which less is carried falls
+ASTRAY = 0.5  # of the path's length; a contact that is further off does not follow the plan
+LATELY, MOMENT = 0.5, 0.01  # s before the end that are judged, and over which a speed is measured
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,45 +43,45 @@ class ContactReport:
     off : float
         Time off the object, from the first step on [s].
     kept : bool
-        Whether no contact of the simulation was off the object, and the object does not fall.
+        Whether no contact of the simulation was ever off the object, and the object does not fall.
     friction_peak : float
         Greatest tangential force [N].
     friction_ratio : float
-        Greatest tangential force over mu times the momentary normal force, where that is at least
-        half its mean (also in transients, where there is nothing else); NaN where mu is 0.
+        Greatest ratio of the tangential force to mu times the normal force of the same moment,
+        while that is at least half its mean (of all times if all are transient); NaN if mu is 0.
     planned_slip : float
         Greatest slip of the plan itself before any disturbance [m/s].
     plan_slips : float
-        Time before any disturbance in which that is more than 1 % of sigma [s].
+        Time before any disturbance in which the plan's slip is more than 1 % of sigma [s].
     rolling_friction : float
         Mean tangential force before any disturbance, while the plan rolls [N].
     rolling_slip : float
-        Mean slip over the speed of the contact point on the object, before the disturbance, while
-        the plan rolls and that speed is more than 1e-4 of its greatest.
+        Mean ratio of slip to the speed of the contact point on the object, before any disturbance,
+        while the plan rolls and that speed is more than 1e-4 of its greatest.
     pushed : bool
-        Whether a push on it or on the object began.
+        Whether a push on this finger or on the object began.
     disturbed_slip : float
-        Mean slip during the last disturbance that is over [m/s].
+        Mean slip during the contact's last disturbance that is over [m/s].
     saturated : float
-        Part of that time with friction saturated.
+        Part of that disturbance's time in which friction was saturated.
     slid : bool
-        Whether the contact slid in it at all: while it touched, friction came to its limit, or slip
-        was ten times `slip_before` and 1 mm/s, as "lagged" makes too little friction.
+        Whether the contact slid in that disturbance: while it touched, friction reached its limit,
+        or slip was over ten times `slip_before` and 1 mm/s, as friction of "lagged" is too small.
     slip_before : float
         Greatest slip before any disturbance [m/s].
     recovery : float
         Time from the disturbance's end until slip stays below 5 % of `disturbed_slip`, or below
-        `slip_before` where that is greater [s]; inf if it is above when that is `followed` no more.
+        `slip_before` if that is greater [s]; inf if slip is still above after the time `followed`.
     followed : float
-        Time from the disturbance's end until the next one, or a push, of any body begins, or to the
-        end [s].
+        Time from the disturbance's end until the next disturbance or push of any body begins, or
+        the simulation ends [s].
     reported : float
-        Within how long the paper reports it [s].
+        Recovery time in the paper [s].
     distance : float
-        Greatest distance of the measured contact point from the one planned at first on the object
-        before any disturbance [m].
+        Greatest distance on the object, before any disturbance, of the measured contact point from
+        that of the plan before restarts [m].
     path : float
-        Length of the whole scene's path [m].
+        Length of the contact's path over the whole scene [m].
     """
 
     name: str
@@ -108,24 +108,24 @@ class ContactReport:
 
     @property
     def disturbed(self) -> bool:
-        """Whether a disturbance of this contact was seen, and is over."""
+        """Whether a disturbance of this contact is over."""
         return not math.isnan(self.disturbed_slip)
 
     @property
     def astray(self) -> bool:
-        """Whether `distance` is more than half of `path`, as where bodies touch along almost a
-        line, or at a second place."""
+        """Whether `distance` is more than half of `path`, as if bodies touch almost along a line,
+        or at a second place."""
         return 0 < ASTRAY * self.path < self.distance
 
     @property
     def verdict(self) -> str:
-        """In a word or two.
+        """The outcome in a word or two.
 
-        "came off" the object, or "not kept" where another contact did or the object falls; "astray"
-        where it does not follow the plan before any disturbance; else "undisturbed", or "pushed",
-        where no disturbance is over by the end; "held", by friction alone; "rejected" or "not
-        rejected" where no time is reported, else "as reported", "not as reported", or "still
-        recovering" where slip is followed for less than that time.
+        "came off": the finger was off the object; "not kept": another one was, or the object falls.
+        "astray": it does not follow the plan even before any disturbance. "undisturbed", "pushed":
+        no disturbance of it is over by the end. "held": friction alone withstood the disturbance.
+        Else slip was "rejected" or "not rejected"; if the paper reports a time, it was rejected "as
+        reported", "not as reported", or is "still recovering", if followed for less than that time.
         """
         if not self.kept:
             return "came off" if self.off else "not kept"
@@ -145,16 +145,15 @@ class ContactReport:
 
 @dataclass(frozen=True)
 class ObjectReport:
-    """What became of the object.
+    """How far the object moved, and whether it falls.
 
     Attributes
     ----------
     moved, turned : float
-        Farthest from where it began [m], [rad].
+        Greatest distance and angle from where it began [m], [rad].
     carried : float
-        Part of its weight that something balances, at most 1: 1 + a/g with its mean upward
-        acceleration a in the last 0.5 s, beyond what its path in a hand has; NaN without gravity,
-        or where it is not free.
+        Part of its weight that is balanced, at most 1: 1 + a/g, a the mean upward acceleration in
+        the last 0.5 s, less that of its path in a hand; NaN without gravity, or if it is not free.
     """
 
     moved: float
@@ -169,7 +168,7 @@ class ObjectReport:
 
 @dataclass(frozen=True)
 class PushReport:
-    """What a push did until the next one began: of its finger, or of the worst if on the object.
+    """What a push did, until the next one began, to its finger, or, on the object, to the worst.
 
     Attributes
     ----------
@@ -179,7 +178,7 @@ class PushReport:
     off : float
         Time off the object [s].
     farthest, left : float
-        Distance of the contact point from the one planned at first, at most and at the end [m].
+        Greatest and last distance of the contact point from that of the plan before restarts [m].
     """
 
     push: Push
@@ -203,9 +202,9 @@ class HandReport:
         The greatest part of a friction cone that is used; measured outside pushes and 0.1 s after,
         NaN if the finger never touches then.
     torque_share : (nq,)
-        Greatest torque over its limit, in plan and run; of a joint that slides, force.
+        Greatest torque over its limit, in plan and simulation; for a sliding joint, force.
     room : (nq,)
-        How near a joint comes to a limit, negative beyond it, in plan and run.
+        Least distance of a joint from its limits in plan and simulation, negative beyond a limit.
     """
 
     off: Array
@@ -219,7 +218,7 @@ class HandReport:
 
 
 def outcome(scene: Scene, duration: float | None = None) -> dict[str, Array]:
-    """Simulate a scene as its ``[drake]`` table says, and tell what became of each contact.
+    """Simulate a scene as its ``[drake]`` table says, and report on each contact.
 
     For sweeps: ``cs.sweep(scenes, drake_plant.outcome, executor, each=True, folder="runs")``.
 
@@ -261,14 +260,14 @@ def object_report(result: SimulationResult) -> ObjectReport:
 
 
 def angles_between(one: Array, other: Array) -> Array:
-    """Of the rotation from poses (..., 4, 4) to others, (...), rad."""
+    """Angles between the orientations of two arrays of poses (..., 4, 4): (...), rad."""
     turns = [Rotation.from_matrix(X[..., :3, :3]) for X in (one, other)]
     return (turns[0] * turns[1].inv()).magnitude()
 
 
 def _acceleration(result: SimulationResult) -> float:
-    """Upward, of the object, on average over what is judged, m/s^2: pushes that it comes back from
-    cancel out."""
+    """The object's mean upward acceleration in the last `LATELY`, m/s^2. It follows from two
+    speeds, so pushes cancel out from which the object has come back."""
     end, time = result.t[-1], min(LATELY, result.t[-1] - result.t[0])
     moment = min(MOMENT, time / 2)
     wanted = getattr(result, "wanted_pose", result.object_pose[:1])
@@ -345,22 +344,22 @@ def hand_report(result: HandResult) -> HandReport:
 
 
 def path_slid(result: SimulationResult) -> Array:
-    """Slip of each contact summed over the time since the last row, while it touches, (m, n), m."""
+    """How far each contact slid in the time that a row stands for, while it touches, (m, n), m."""
     slip = np.linalg.norm(result.measured["slip"], axis=2)
     touches = result.measured["normal_force"] > 0
     return durations(result)[:, None] * slip * touches
 
 
 def time_off(result: SimulationResult) -> Array:
-    """Time off the object of each contact in the step that ended then, (m, n), s."""
+    """Time that each contact was off the object, of that which a row stands for, (m, n), s."""
     return durations(result)[:, None] * (result.measured["normal_force"] <= 0)
 
 
 def durations(result: SimulationResult) -> Array:
     """The time that each row stands for, (m,), s.
 
-    Every step with a finger off the object is logged, and stands for itself; of others a row stands
-    for those since the last such row.
+    Steps with a finger off the object are all logged, and a row of one stands for it alone. Other
+    rows stand for all other steps since the last row of their kind.
     """
     since = np.diff(result.t, prepend=result.t[0])
     off = (result.measured["normal_force"] <= 0).any(axis=1)
@@ -371,16 +370,16 @@ def durations(result: SimulationResult) -> Array:
 
 
 def misses(result: SimulationResult) -> Array:
-    """From planned to measured contact points on the object, (m, n, 3), m; planned from the start
-    on, where the planner restarts from what is measured."""
+    """From planned to measured contact points on the object, (m, n, 3), m; if the planner restarts,
+    the planned ones are those of the plan before."""
     planned = result.planned
     first = planned.get("first_contact_point", planned["contact_point"])
     return result.measured["contact_point"] - first
 
 
 def recovery_time(t: Array, slip: Array, since: float, level: float) -> float:
-    """How long after a time a signal last lies at a level or above, s: 0 if it never does, inf if
-    it does at the end, or is not seen after that time."""
+    """How long after ``since`` slip stays below a level for good, s: 0 if it is never above, inf if
+    it is not below at the end, or if there is no row after ``since``."""
     after = t >= since - EARLY  # integrators end a step at the last number before an edge
     t, above = t[after], slip[after] >= level
     if not len(t) or above[-1]:
@@ -391,14 +390,14 @@ def recovery_time(t: Array, slip: Array, since: float, level: float) -> float:
 def _rolling(
     result: SimulationResult, i: int, early: NDArray[np.bool_], steady: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """Forces of one contact; slip and where it is while nothing has been disturbed yet."""
+    """Fields of a ContactReport: forces, at `steady` times or all, and slip at `early` ones."""
     t, before, time = result.t, early & (result.t >= EDGE), durations(result)
     normal, friction, limit = _forces(result, i)
     mean = _mean(normal[steady], time[steady])
     usual = mean if steady.any() else _mean(normal[normal > 0], time[normal > 0])
     pressed = (normal > 0.5 * usual) & (limit > 0)
     slip, of_plan = (
-        np.linalg.norm(said["slip"][:, i], axis=1) for said in (result.measured, result.planned)
+        np.linalg.norm(logs["slip"][:, i], axis=1) for logs in (result.measured, result.planned)
     )
     states, obj = result.planned["state"][:, i], result.scene.object
     root = obj.metric_root(states[:, 4], states[:, 5])
@@ -426,9 +425,9 @@ def _rejection(
     begins: Array,
     before: float,
 ) -> dict[str, Any]:
-    """What the last disturbance did, if it was seen and is over.
+    """Fields of a ContactReport on the last disturbance that is over; none if there is none.
 
-    begins : when anything begins to act on any body, s
+    disturbed : when the contact's disturbances start and stop; begins : when any body's begin, s
     before : greatest slip before any disturbance, m/s
     """
     t, slip = result.t, np.linalg.norm(result.measured["slip"][:, i], axis=1)
@@ -436,13 +435,13 @@ def _rejection(
     if not over:
         return {}
     start, stop = over[-1]
-    # the rows of steps that began in it, but for what rounding makes of times; none ended at t[0]
+    # rows of the steps that began in the disturbance, up to rounding; row 0 is not of a step
     later = (1 - NEAR) * result.config.time_step
     first, last = np.maximum(np.searchsorted(t, (start + later, stop + later)), 1)
-    # the row after it tells too what it did, and alone of one between two rows
+    # A disturbance may fall between two rows: the row after it counts too.
     during, seen = slice(first, max(last, first + 1)), slice(first, last + 1)
     normal, friction, limit = _forces(result, i)
-    # A finger that is off the object, or that nothing holds, has no friction to saturate.
+    # Without a normal force or friction there is no limit to reach.
     at_limit = (friction >= SATURATED * limit) & (limit > 0)
     time = durations(result)[during]
     mean = _mean(slip[during], time)
@@ -468,7 +467,7 @@ def _forces(result: SimulationResult, i: int) -> tuple[Array, Array, Array]:
 
 
 def _mean(values: NDArray[Any], durations: Array) -> float:
-    """Over time."""
+    """The mean over time of values that last for the durations; NaN if there are none."""
     return float(np.average(values, weights=durations)) if durations.any() else math.nan
 
 

@@ -1,7 +1,7 @@
 """Pictures of a simulation: slip, forces and contact curves, measured beside planned.
 
-In the manner of :mod:`contact_system.plots`, with its colours and its way to draw bodies.
-matplotlib is imported only when a picture is asked for.
+Colours, and bodies, are drawn as in :mod:`contact_system.plots`. matplotlib is imported only when a
+picture is drawn.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from .simulation import HandResult, SimulationResult
 
 SMOOTH = 0.02  # s over which the bold line of a rippling signal is averaged
 BOLD = f"bold: mean of {1e3 * SMOOTH:g} ms"
-INTEGRATED = 1e-4  # of the greatest path speed: slip of the plan below is its integration's error
-DOTS, APART = 200, 0.02  # most marks on a planned curve, and how far apart, of the picture's size
+INTEGRATED = 1e-4  # of the greatest path speed; less slip in a plan is an error of integration
+DOTS, APART = 200, 0.02  # most dots on a planned curve; their least distance, of the picture
 
 
 def plot(
@@ -46,7 +46,7 @@ def plot(
     dpi : int
         Dots an inch, 10 to 2400; the picture is 13 by 9 inches.
     opened : SimulationResult, optional
-        The same with the loop open, to be drawn beside it.
+        The same simulation with the loop open; its slip and distances are drawn too.
 
     Raises
     ------
@@ -73,9 +73,9 @@ def plot(
 
 
 def _draw_slip(ax: Any, result: SimulationResult, closed: bool = True) -> None:
-    """Measured slip and, dashed, the planner's; of an open loop beside it slip alone, dotted."""
+    """Measured slip and, dashed, that of the plan; with the loop open only measured, dotted."""
     slip, planned = (
-        np.linalg.norm(said["slip"], axis=2) for said in (result.measured, result.planned)
+        np.linalg.norm(logs["slip"], axis=2) for logs in (result.measured, result.planned)
     )
     peak = max(slip.max(), planned.max())
     _each(ax, result.t, slip, linewidth=0.9, linestyle="-" if closed else ":")
@@ -98,7 +98,7 @@ def _draw_normal(ax: Any, result: SimulationResult) -> None:
 
 
 def _draw_friction(ax: Any, result: SimulationResult) -> None:
-    """Of a balance the part of the cones that is used, else the tangential force."""
+    """Tangential forces, or, if forces balance gravity, the part of the friction cones used."""
     if result.config.balances:
         used = np.nan_to_num(result.measured["friction_used"])
         _draw_rippling(ax, result.t, used, result.planned["friction_used"], 1.3)
@@ -160,7 +160,7 @@ def _each(ax: Any, t: Array, values: Array, **line: Any) -> None:
 
 
 def _draw_rippling(ax: Any, t: Array, values: Array, wanted: Array, top: float) -> None:
-    """Signals, pale, and their running means, from the first step on, and what is wanted."""
+    """Signals, pale, and their running means, without the start, and, dotted, wanted values."""
     late, values = t[1:], values[1:]
     _each(ax, late, values, linewidth=0.5, alpha=0.35)
     width = max(1, round(SMOOTH / (late[1] - late[0]))) if len(late) > 1 else 1
@@ -188,7 +188,7 @@ def _finish(ax: Any, result: SimulationResult, planned: Plan, last: bool) -> Non
 
 
 def _draw_curves(ax: Any, result: SimulationResult, planned: Plan) -> None:
-    """Measured contact curves, with dots where the plan has them."""
+    """Measured contact curves on the object, and dots on the planned ones."""
     contacts, points = range(len(result.scene.contacts)), result.measured["contact_point"]
     curves = [curve_of(planned, i, result.t, points[:, i]) for i in contacts]
     mesh = mesh_of(planned, 1, contacts)
@@ -201,7 +201,7 @@ def _draw_curves(ax: Any, result: SimulationResult, planned: Plan) -> None:
 
 
 def _dots(points: Array, apart: float) -> Array:
-    """Of a curve (n, 3) the points that are marked: closer together they would cover it."""
+    """Points of a curve (n, 3) to mark with dots, far enough apart not to cover the curve."""
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     places = np.arange(0.0, along[-1], max(apart, along[-1] / DOTS))
     return points[np.searchsorted(along, places)]

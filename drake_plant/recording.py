@@ -1,8 +1,8 @@
-"""A simulation as one HTML file that anybody can turn, zoom and play in a browser.
+"""A simulation as one HTML file, to be turned, zoomed and played in a browser.
 
-Besides bodies and forces it shows curves, disturbances and names. These are drawn into Meshcat's
-recording when the simulation is over, from what it logged; all moves with the bodies, as it hangs
-on their branches of Meshcat's tree.
+Besides bodies and forces it shows curves, disturbances and names. These are added to Meshcat's
+recording after the simulation, from its logs. They move with the bodies, as they are on the bodies'
+branches of Meshcat's tree.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ if TYPE_CHECKING:
 FRAMES = 64.0  # a second
 FILM = "/drake/film"
 BODIES, FORCES = f"{FILM}/bodies", f"{FILM}/forces"
-LIFT = 0.02  # of the finger's size, of lines over surfaces whose facets would hide them
+LIFT = 0.02  # height of lines over a surface, whose facets would hide them, of the finger's size
 THICK, THIN = 0.1, 0.025  # half of the width of ribbons, of the finger's size
 DOT = 0.2  # radius of contact points, of the finger's size
-HALO = 1.3  # radius of what marks a disturbed body, in its sizes
+HALO = 1.3  # radius of the sphere that marks a disturbed body, of the body's size
 VIEW = np.array([math.sqrt(0.75), 0.0, 0.5])
-"""From what is seen to the camera, whose right is y."""
+"""Direction from the middle of the picture to the camera, whose right is y."""
 ASIDE = np.array([0.4, 0.7, 0.6]) / math.hypot(0.4, 0.7, 0.6)
-"""Where the finger that is followed is held: beside the line of sight, so that contact is seen."""
+"""Direction in which the followed finger is kept: beside the line of sight, to show its contact."""
 HAND_VIEW = [0.19, 0.11, 0.05]
-"""Where the camera is that sees a hand, m."""
-SEES = math.radians(75.0)  # the angle of Meshcat's camera
-AROUND = 2.2  # what is seen beyond the object or the contacts, in sizes of the largest finger
-TURN = 0.4  # most of a turn a frame, rad: going over to another finger is seen, not a cut
+"""Position of the camera for a hand, m."""
+SEES = math.radians(75.0)  # the angle of view of Meshcat's camera
+AROUND = 2.2  # margin around the object or the contacts, in sizes of the largest finger
+TURN = 0.4  # greatest turn of the camera from frame to frame, rad: it travels between fingers
 ARROW = 2.5  # length of the arrow of the normal force, in sizes of the largest finger
 
 
@@ -77,12 +77,12 @@ class Recording:
     def __init__(self, builder: DiagramBuilder, scene_plant: ScenePlant):
         log = logging.getLogger("drake")
         level = log.level
-        log.setLevel(logging.WARNING)  # nobody needs to know the address it listens at
+        log.setLevel(logging.WARNING)  # else Drake prints the address at which Meshcat listens
         self._meshcat = meshcat = Meshcat()
         log.setLevel(level)
         scene, ink = scene_plant.scene, rgba(INK)
         step, period = scene_plant.plant.time_step(), 1.0 / FRAMES
-        if step:  # a picture between two steps would cut the planner's steps
+        if step:  # a picture between two steps would end a step of the planner there
             period = step * max(1, round(period / step))
         params = MeshcatVisualizerParams(
             publish_period=period, role=Role.kIllustration, prefix=BODIES
@@ -97,7 +97,7 @@ class Recording:
             color=ink,
             hydro_force_color=ink,
             newtons_per_meter=scene_plant.config.normal_force / (ARROW * largest),
-            newton_meters_per_meter=1e9,  # moments are of no interest
+            newton_meters_per_meter=1e9,  # moments are not to be seen
             radius=largest / 20,
         )
         ContactVisualizer.AddToBuilder(builder, scene_plant.plant, meshcat, forces)
@@ -110,19 +110,18 @@ class Recording:
         look_at(meshcat, scene)
 
     def Save(self, path: str | Path, result: SimulationResult | None = None) -> None:
-        """Write the recording to a file that needs nothing else.
+        """Write the recording to a self-contained file.
 
         Parameters
         ----------
         path : path
             Ending in .html.
         result : SimulationResult, optional
-            Of the same simulation. With it curves are seen as they are drawn on both bodies, what
-            disturbs while it does, and names; and the camera travels with the finger that is
-            disturbed.
+            Of the same simulation. It adds the curves that contacts draw on both bodies, marks on
+            bodies while they are disturbed, and names; and the camera follows the disturbed finger.
         """
         self._visualizer.StopRecording()
-        # Drake draws a patch's force on the object, which hides it: turn it to that on the finger.
+        # Drake draws a patch's force on the object, inside it: show the opposite one on the finger.
         for name in self._fingers:
             force = f"{FORCES}/hydroelastic/object+{name}/force_C_W"
             self._meshcat.SetProperty(force, "scale", [1.0, 1.0, -1.0])
@@ -137,9 +136,9 @@ class Recording:
 
 
 def look_at(meshcat: Meshcat, scene: Scene, points: Array | None = None) -> Array:
-    """Set the camera back so far that it sees the bodies; returns the middle of what it sees, in O.
+    """Put the camera so far away that it sees the bodies; returns the middle of its view, in O.
 
-    points : (..., 3), contact points, which tell what is to be seen of an object that has no centre
+    points : (m, n, 3), contact points, the part to be seen of an object that has no centre
     """
     middle, size = np.zeros(3), scene.object.size
     if points is not None and not scene.object.chart.central:
@@ -151,7 +150,7 @@ def look_at(meshcat: Meshcat, scene: Scene, points: Array | None = None) -> Arra
 
 
 def disturbances(result: SimulationResult) -> list[tuple[int, float, float]]:
-    """What disturbs in the run: a body's number in `body_names`, and from when to when, s."""
+    """Disturbances and pushes in a result: the body's number in `body_names`, start, stop, s."""
     planned, names = plan(result.scene), body_names(result.scene)
     found = [(i, *w) for i in range(len(result.scene.contacts)) for w in windows(planned, i)]
     found += [(names.index(push.on), push.start, push.stop) for push in result.config.pushes]
@@ -159,10 +158,10 @@ def disturbances(result: SimulationResult) -> list[tuple[int, float, float]]:
 
 
 def draw(meshcat: Meshcat, result: SimulationResult) -> None:
-    """Add all that moves with a simulation to the recording that Meshcat has of it."""
+    """Add curves, contact points, disturbances and the camera's motion to Meshcat's recording."""
     recording, scene = meshcat.get_mutable_recording(), result.scene
     times = np.arange(0.0, result.t[-1], 1.0 / recording.frames_per_second())
-    frames = np.searchsorted(result.t, times)  # what is logged, a row a frame
+    frames = np.searchsorted(result.t, times)  # the logged row for each frame
     for path, curve, drawn, colour in _curves(result):
         meshcat.SetTriangleMesh(
             path, *curve, rgba(colour), side=Meshcat.SideOfFaceToRender.kDoubleSide
@@ -186,7 +185,7 @@ def draw(meshcat: Meshcat, result: SimulationResult) -> None:
             recording.SetProperty(recording.frame(start), path, "visible", True)
             if stop < result.t[-1]:  # a film ends at its last property
                 recording.SetProperty(recording.frame(stop), path, "visible", False)
-    if result.config.hand is not None:  # up is up
+    if result.config.hand is not None:  # a fixed camera: up stays up
         meshcat.SetCameraPose(HAND_VIEW, [0.0, 0.0, -0.6 * scene.object.size])
         return
     middle = look_at(meshcat, scene, result.measured["contact_point"])
@@ -195,7 +194,7 @@ def draw(meshcat: Meshcat, result: SimulationResult) -> None:
 
 
 def _branch(scene: Scene, on: int) -> str:
-    """The branch of Meshcat's tree of a body, by its number in `body_names`."""
+    """A body's branch of Meshcat's tree; ``on`` is its number in `body_names`, -1 the object."""
     name = [*model_names(scene), "object"][on]
     return f"{BODIES}/{name}/{name}"
 
@@ -203,7 +202,7 @@ def _branch(scene: Scene, on: int) -> str:
 def _curves(
     result: SimulationResult,
 ) -> Iterator[tuple[str, tuple[Array, Array], Array | None, str]]:
-    """Path, ribbon, the times at which it is drawn, and colour of each curve."""
+    """For each curve: Meshcat's path, ribbon, when its points are drawn (None: at once), colour."""
     scene, state = result.scene, result.measured["state"]
     for i, contact in enumerate(scene.contacts):
         u1, v1, u2, v2 = state[:, i, [0, 1, 4, 5]].T
@@ -233,7 +232,7 @@ def _ribbon(points: Array, normals: Array, width: float) -> tuple[Array, Array]:
 
 
 def _views(result: SimulationResult, middle: Array, times: Array) -> Iterator[RigidTransform]:
-    """Where the film is put at each frame, so that the camera may stand still."""
+    """Pose of the whole film at each frame: it moves in the place of the camera, which is fixed."""
     frames, acting = np.searchsorted(result.t, times), disturbances(result)
     at = result.measured["state"][frames]
     normals = result.scene.object.normal(at[..., 4], at[..., 5])
@@ -253,7 +252,7 @@ def _views(result: SimulationResult, middle: Array, times: Array) -> Iterator[Ri
         yield RigidTransform(RotationMatrix(turn.as_matrix()), -turn.apply(place))
 
 
-# --- in the page, whose viewer can do more than Drake's Meshcat --------------------------------
+# --- additions to the page, whose viewer can do more than Drake's Meshcat ----------------------
 
 DRAWN = """
 <script>
@@ -280,11 +279,11 @@ for (const [path, text, size] of {names})
   }});
 </script>
 """
-"""What colours mean, and names: Drake's Meshcat has no texts."""
+"""A legend of colours, and the bodies' names: Drake's Meshcat has no texts."""
 
 
 def with_texts(page: str, result: SimulationResult) -> str:
-    """A recording's page with names on the bodies, and a key."""
+    """A recording's page with names on the bodies, and a legend."""
     scene, entries, names = result.scene, [], []
     for i, contact in enumerate(scene.contacts):
         name = scene.contact_name(i)
@@ -300,5 +299,5 @@ def with_texts(page: str, result: SimulationResult) -> str:
     title = html.escape(f"{scene.name}: {scene.description}".strip(": "))
     listed = json.dumps(names).replace("</", "<\\/")
     key = KEY.format(ink=INK, title=title, entries="<br>".join(lines), names=listed)
-    page = page.replace("</script>", "</script>" + DRAWN, 1)  # once the viewer is known
+    page = page.replace("</script>", "</script>" + DRAWN, 1)  # after the viewer's own script
     return page.replace("</body>", key + "</body>")

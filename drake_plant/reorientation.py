@@ -1,4 +1,4 @@
-"""Turn an object in the fingers: its path, joints that roll along, forces, and why not."""
+"""Plan how a hand turns an object: the object's path, joint motions that roll the tips, forces."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from .hand_kinematics import Chains
 from .plant import AddScenePlant, solid_inertia
 from .pressing import rolling_scene
 
-STEPS = 16  # of a plan at least, from the start of the motion to its end
+STEPS = 16  # least number of integration steps from the start of the motion to its end
 ACCURATE = 1e-7  # error of a step, in units of the joints
-DEEPER = 1e-3  # part by which forces exceed the least where bodies roll on other radii
-FREE = 6  # joints of a finger that leave the pose of its tip free
-LEG_NODES = 33  # least times of a plan on legs, which are four at most
-BEGIN, END = 0.1, 0.75  # of the duration, when the object begins to move, and rests
+DEEPER = 1e-3  # part by which the mean force may exceed the least before radii are computed anew
+FREE = 6  # joints of a finger that can move its tip to any pose
+LEG_NODES = 33  # least number of times in a plan on legs, of which there are at most four
+BEGIN, END = 0.1, 0.75  # of the duration, when the object begins to move, and stops
 
 
 class ShortestPath:
-    """From one pose to another about one axis and along one line, from rest to rest.
+    """A path from one pose to another about one axis and along one line, from rest to rest.
 
-    Drake's PiecewisePose, which may be given in its place, answers to the same names.
+    Drake's PiecewisePose, which may be given in its place, has the same methods.
     """
 
     def __init__(self, X_WO: RigidTransform, X_WO_goal: RigidTransform, start: float, stop: float):
@@ -49,7 +49,7 @@ class ShortestPath:
         self._twist = self._way.GetVelocity(0.5)
         T = stop - start
         pace = Polynomial([0, 0, 0, 10 / T**3, -15 / T**4, 6 / T**5])
-        part = PiecewisePolynomial([np.array([[pace]])], [start, stop])  # of the way, 0 to 1
+        part = PiecewisePolynomial([np.array([[pace]])], [start, stop])  # 0 to 1 along the path
         self._part, self._rate, self._change = (part.derivative(k) for k in range(3))
         self.start_time, self.end_time = part.start_time, part.end_time
 
@@ -68,14 +68,14 @@ class ShortestPath:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reorientation:
-    """How a hand turns an object: of :func:`plan_reorientation`. m times, n fingers; SI units.
+    """How a hand turns an object: made by :func:`plan_reorientation`. m times, n fingers; SI units.
 
     Attributes
     ----------
     hand, scene, config
-        As given; the configuration has the hand, and as normal force the mean of what is planned.
+        As given, but the configuration has the hand, and the mean planned normal force.
     rolling : Scene
-        Its contacts are where the fingers begin, on the radii that bodies roll on.
+        The scene on the surfaces that bodies roll on, with contacts where the fingers start.
     route : Scene or None
         `rolling` with the legs of :func:`cs.reach` that fingers of six or more joints follow from
         ``t[0]`` on, for :func:`cs.plan`.
@@ -85,17 +85,17 @@ class Reorientation:
     object_pose : (m, 4, 4)
         X_WO.
     q, v, a : (m, nq)
-        Of the joints, in the order of `joints`.
+        Positions, velocities and accelerations of the joints, in the order of `joints`.
     points : (m, n, 2, 3)
         Contact points on finger and object, each in its body's frame.
     normals, forces : (m, n, 3)
         Normals into the object and forces on it, in the world.
     resting : (2, n, 3)
-        Forces before and after the path, where the object rests.
+        Forces on the object before and after the path, while it rests.
     states : (m, n, 9)
-        As :meth:`contact_system.Plan.states` has them.
+        As those of :meth:`contact_system.Plan.states`.
     slip, spin : (m, n)
-        Speed at the contact, m/s, and of turning about the normal, rad/s.
+        Speed of slip, m/s, and of rotation about the normal, rad/s.
     cones : (m, n)
         Part of each friction cone that is used.
     torques : (m, nq)
@@ -126,12 +126,12 @@ class Reorientation:
     chains: Chains
 
     def wanted(self, time: float) -> RigidTransform:
-        """X_WO as planned: before and after its path the object rests."""
+        """X_WO as planned at any time: before and after its path the object rests."""
         return self.path.GetPose(min(max(time, self.t[0]), self.t[-1]))
 
 
 def goal_of(config: StationConfig) -> RigidTransform:
-    """X_WO to which the `turn` and `move` of a scene's table lead."""
+    """X_WO to which `turn` and `move` of the configuration lead."""
     R = Rotation.identity()
     for turn in config.turn:
         R = Rotation.from_rotvec(turn, degrees=True) * R
@@ -145,7 +145,7 @@ def plan_reorientation(
     path: Any = None,
     config: StationConfig | None = None,
 ) -> Reorientation:
-    """Plan how a hand brings an object from the world's origin to a pose, rolling on it.
+    """Plan how a hand brings an object from the world's origin to a pose while fingers roll on it.
 
     Every finger keeps its contact and rolls without slip; docs/hands.md tells how that is planned.
 
@@ -153,22 +153,22 @@ def plan_reorientation(
     ----------
     hand : Hand
     scene : Scene
-        Its contacts are where fingers touch at the start; of a ``finger_at`` only the place counts,
-        as the middle of the pad. Its ``[drake]`` table tells masses, friction and gravity.
+        Fingers touch the object at its ``object_at`` at the start; ``finger_at`` is the middle of
+        the pad. Its ``[drake]`` table gives masses, friction and gravity.
     X_WO_goal : RigidTransform, optional
         None: where the table's `turn` and `move` lead.
     path : PiecewisePose, optional
-        X_WO, or what answers to its names; None: the shortest path, from rest to rest. Before and
-        after it the object rests.
+        X_WO, or an object with the same methods; None: the shortest path, from rest to rest. Before
+        and after it the object rests.
     config : StationConfig, optional
-        None: what the table says.
+        None: the scene's table.
 
     Raises
     ------
     SceneError
         A finger that does not reach, with the joint and its limit; a contact that leaves its pad,
-        or slips as joints cannot follow; forces that nothing balances, with the wrench that is
-        left; a torque beyond its limit; a path that ends after the scene.
+        or slips as joints cannot follow; a wrench that no forces balance, with what is left of it;
+        a torque beyond its limit; a path that ends after the scene.
     """
     of_kind(Hand, hand, "hand", "a Hand")
     if config is None:
@@ -200,9 +200,9 @@ def plan_reorientation(
         return plan
 
 
-@np.errstate(under="ignore")  # the spacing of doubles at t = 0 underflows
+@np.errstate(under="ignore")  # in solve_ivp the spacing of doubles at t = 0 underflows
 def _rolled(chains: Chains, path: Any) -> tuple[Array, Array, Array]:
-    """Times, joints that roll along, and their velocities, (m, nq), until the object rests."""
+    """Times, (m,), and joint positions and velocities that roll the tips along, (m, nq)."""
     scene, X = chains.scene, path.GetPose(path.start_time())
     at = np.array([scene.object.point(*c.object_at) for c in scene.contacts])
     normals = np.array([scene.object.normal(*c.object_at) for c in scene.contacts])
@@ -226,10 +226,10 @@ def _rolled(chains: Chains, path: Any) -> tuple[Array, Array, Array]:
 
 
 def _routed(chains: Chains, path: Any, t: Array, way: Array) -> tuple[Array, Array, Array, Scene]:
-    """Times, joints, their velocities, and the scene with the legs that fingers follow.
+    """Times, joint positions and velocities, and the scene with the legs that fingers follow.
 
-    Joints that roll along show places on the object that fingers reach; legs of `cs.reach` lead
-    there without spin and on the pads.
+    t, way : times and joint positions of `_rolled`. Where it ends on the object is within the
+        fingers' reach; legs of `cs.reach` lead there on the pads and without spin.
     """
     rest = np.zeros_like(way[[0, -1]])
     ends = _contacts(chains, path, t[[0, -1]], way[[0, -1]], rest)[..., STATES]
@@ -253,7 +253,7 @@ def _routed(chains: Chains, path: Any, t: Array, way: Array) -> tuple[Array, Arr
 
 
 def _starting(scene: Scene, states: Any, **changes: Any) -> Scene:
-    """The scene with contacts where states have them."""
+    """The scene with contacts at the places and angles of states."""
     contacts = [
         dataclasses.replace(contact, finger_at=x[:2], object_at=x[4:6], angle=x[8], **changes)
         for contact, x in zip(scene.contacts, states)
@@ -264,8 +264,8 @@ def _starting(scene: Scene, states: Any, **changes: Any) -> Scene:
 def _planned(
     scene: Scene, config: StationConfig, path: Any, inertia: SpatialInertia, least: float
 ) -> Reorientation:
-    """The plan whose contacts are as deep as the configuration's normal force presses them, and
-    press with the least at least, N."""
+    """The plan with contacts as deep as the configuration's normal force presses them, and with
+    normal forces of at least ``least``, N."""
     assert config.hand is not None
     rolling = rolling_scene(scene, config)
     chains = Chains(config.hand, rolling, config.finger_mass, config.gravity)
@@ -287,7 +287,7 @@ def _planned(
     mu, margin = config.friction, config.friction_share
 
     def pressing(k: Any, V: Array, A: Array) -> Array:
-        """Forces that move the object so at the times of numbers k."""
+        """Forces that give the object velocity V and acceleration A, at times t[k]."""
         wrench = needed_wrench(inertia, down, R[k], V, A)
         wanted = [np.einsum("mij,mj->mi", R[k], part) for part in wrench]
         contacts = arms[k], normals[k], mu
@@ -322,7 +322,7 @@ def _planned(
 
 
 def _contacts(chains: Chains, path: Any, t: Array, q: Array, v: Array) -> Array:
-    """What probes find of every contact, and its spin: (m, n, FOUND + 1)."""
+    """The probe's results for every contact, and its spin, rad/s: (m, n, FOUND + 1)."""
     rows = np.empty((len(q), len(chains.joints), FOUND + 1))
     for k, time in enumerate(t):
         X_WO, V_WO = path.GetPose(time), SpatialVelocity(path.GetVelocity(time))
@@ -349,10 +349,10 @@ def _refuse_pads(scene: Scene, hand: Hand, t: Array, points: Array) -> None:
 
 
 def object_inertia(scene: Scene, config: StationConfig) -> SpatialInertia:
-    """Of the homogeneous solid that a plant has as object."""
+    """Inertia of the homogeneous solid that is a plant's object."""
     if isinstance(scene.object, (Sphere, Ellipsoid)):
         return solid_inertia("object", scene.object, config.object_mass)
-    # a mesh tells, which takes half a second
+    # it follows from the object's mesh, which takes half a second to build
     parts = AddScenePlant(DiagramBuilder(), scene, config)
     return parts.object_body.default_spatial_inertia()
 
@@ -360,7 +360,7 @@ def object_inertia(scene: Scene, config: StationConfig) -> SpatialInertia:
 def _torques(
     chains: Chains, t: Array, q: Array, v: Array, a: Array, points: Array, forces: Array
 ) -> Array:
-    """Torques (m, nq) that move the joints against gravity, and press with the forces."""
+    """Torques (m, nq) that move the joints, carry the links, and exert the contact forces."""
     found = np.empty_like(q)
     for k in range(len(q)):
         chains.put(q[k], v[k])

@@ -1,4 +1,4 @@
-"""A station simulated from its start, with what planner and monitor say along the way."""
+"""Simulate a station from its start, and log what is planned and measured."""
 
 from __future__ import annotations
 
@@ -36,33 +36,33 @@ from .station import SetInitialState, build, build_hand
 
 PLANNED = slices({name: PORTS[name] for name in ("state", "slip", "contact_point")})
 BALANCED = ("normal_force", "friction_used")
-NEAR = 1e-6  # of a period, by which a step may end before it
-LOGGED = 2e-3  # s, at which simulate logs where steps are shorter
+NEAR = 1e-6  # part of a period by which rounding may let a step end before it
+LOG_PERIOD = 2e-3  # s, of rows that simulate logs, unless steps are longer
 INTEGRATION = SimulatorConfig(
     integration_scheme="runge_kutta3", accuracy=1e-3, max_step_size=1e-3, use_error_control=True
 )
-"""Of the planner's states beside a discrete plant: within 1.1e-5 m of the plan over all of D1."""
+"""For a planner with a discrete plant: within 1.1e-5 m of the plan over all of D1."""
 CONTINUOUS = copy(INTEGRATION)
 CONTINUOUS.accuracy = 1e-4
-"""Of a continuous plant: with a larger accuracy the planner is further off than it may be."""
+"""For a planner with a continuous plant: with larger values it exceeds its tolerance."""
 
 
 @dataclass(eq=False, repr=False)
 class SimulationResult:
-    """What :func:`simulate` saw, about every 2 ms, at the end of every step in which a finger is
-    off the object, and at that of the last whole step. m times, n contacts; SI units.
+    """What :func:`simulate` logged: about every 2 ms, at the end of every step in which a finger is
+    off the object, and at the end of the last whole step. m times, n contacts; SI units.
 
     Attributes
     ----------
     scene, config
     t : (m,)
     planned : dict
-        state (m, n, 9), slip (m, n, 2), contact_point (m, n, 3), the latter on the object, in O;
-        normal_force (m, n) and friction_used (m, n), the part of each cone, of what is asked for;
-        with restarts first_contact_point (m, n, 3), as it was before any.
+        state (m, n, 9), slip (m, n, 2), contact_point (m, n, 3), which is on the object, in O;
+        of wanted forces normal_force (m, n) and friction_used (m, n), the part of each friction
+        cone; with restarts first_contact_point (m, n, 3), of the plan before any restart.
     measured : dict
         slip (m, n, 2), normal_force (m, n), tangential_force (m, n, 2), contact_point (m, n, 3),
-        state (m, n, 9), friction_used (m, n): those of the step that ended at t. The latter is NaN
+        state (m, n, 9), friction_used (m, n), of the step that ended at t. friction_used is NaN
         without contact or friction.
     object_pose : (m, 4, 4)
         X_WO.
@@ -82,9 +82,9 @@ class SimulationResult:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the logs.
 
-        ``.npz``: the scene (as TOML text, its [drake] table what `config` says), all logs, such as
+        ``.npz``: the scene (as TOML text, with `config` as its [drake] table), all logs, such as
         ``planned_slip`` and ``measured_slip``, and the other arrays, such as t and object_pose.
-        ``.csv``: forces, slip and contact points, one line a time and contact.
+        ``.csv``: forces, slip and contact points, one line for each time and contact.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class SimulationResult:
 
 @dataclass(eq=False, repr=False)
 class HandResult(SimulationResult):
-    """A :class:`SimulationResult` of a hand, and besides, m times:
+    """A :class:`SimulationResult` of a hand. It also has, at m times:
 
     Attributes
     ----------
@@ -155,7 +155,7 @@ def simulate(
     progress: Callable[[float], None] | None = None,
     recording: str | Path | None = None,
 ) -> SimulationResult:
-    """Build the station of a scene, simulate it, and return what was planned and measured.
+    """Build the station of a scene, simulate it, and log what is planned and measured.
 
     Parameters
     ----------
@@ -172,33 +172,33 @@ def simulate(
     Raises
     ------
     SceneError
-        A duration shorter than a time step, not finite, or beyond the scene's where there is no
-        plan; a recording in a folder that does not exist; what :func:`BuildStation` raises.
+        A duration not finite, shorter than a time step, or so long that there is no plan for it;
+        a recording in a folder that does not exist; what :func:`BuildStation` raises.
     """
-    gc.collect()  # Diagrams are cycles: free those of runs before this one
+    gc.collect()  # Diagrams are reference cycles: free those of earlier runs
     config = checked(scene, config, "station")
-    duration = _lasting(scene, config, duration)
+    duration = _checked_duration(scene, config, duration)
     if config.hand is not None:
         planned_hand = plan_reorientation(config.hand, scene, config=config)
         return simulate_hand(planned_hand, duration, progress, recording)
-    # meshes have to reach as far as contacts go
+    # the meshes of a longer simulation have to reach as far as its contacts go
     whole = scene if duration <= scene.duration else scene.replace(duration=duration)
     run = Run(scene, partial(build, whole, config, until=duration), recording)
     SetInitialState(run.station, run.root)
     planner = run.station.GetSubsystemByName("planner")
     own = planner.GetMyContextFromRoot(run.root)
-    asked: Asked = {"planned": partial(planner.Evaluate, own, *PLANNED)}
+    logged: Logged = {"planned": partial(planner.Evaluate, own, *PLANNED)}
     for name in BALANCED if config.balances else ():
-        asked[name] = partial(run.station.GetOutputPort(f"planned_{name}").Eval, run.root)
-    t, said, measured = run.follow(duration, progress, asked)
-    planned = {name: said["planned"][:, :, own] for name, own in PLANNED.items()}
+        logged[name] = partial(run.station.GetOutputPort(f"planned_{name}").Eval, run.root)
+    t, logs, measured = run.advance(duration, progress, logged)
+    planned = {name: logs["planned"][:, :, own] for name, own in PLANNED.items()}
     planned["contact_point"] = planned["contact_point"][:, :, 3:]
     for name, constant in zip(BALANCED, (config.normal_force, 0.0)):
-        planned[name] = said.get(name, np.full_like(measured["normal_force"], constant))
+        planned[name] = logs.get(name, np.full_like(measured["normal_force"], constant))
     if config.restarts:
         first = plan(planner.system.scene)
         planned["first_contact_point"] = first.points(t)[:, :, 1]
-    result = SimulationResult(scene, config, t, planned, measured, said["pose"], *run.times)
+    result = SimulationResult(scene, config, t, planned, measured, logs["pose"], *run.times)
     run.film(result)
     return result
 
@@ -211,25 +211,25 @@ def simulate_hand(
 ) -> HandResult:
     """Simulate a plan from its start: see :func:`simulate`."""
     of_kind(Reorientation, plan, "plan", "a Reorientation")
-    duration = _lasting(plan.scene, plan.config, duration)
+    duration = _checked_duration(plan.scene, plan.config, duration)
     run = Run(plan.scene, partial(build_hand, plan), recording)
     driver, plant = run.station.GetSubsystemByName("driver"), run.parts.plant
     own, physics = (system.GetMyContextFromRoot(run.root) for system in (driver, plant))
     joints = [joint.position_start() for joint in moving_joints(plant)]
-    asked: Asked = {
+    logged: Logged = {
         "q": lambda: plant.GetPositions(physics)[joints],
         "torque": partial(driver.GetOutputPort("torque").Eval, own),
     }
-    t, said, measured = run.follow(duration, progress, asked)
-    seen = t, _hand_planned(plan, t), measured, said["pose"], *run.times
+    t, logs, measured = run.advance(duration, progress, logged)
+    seen = t, _hand_planned(plan, t), measured, logs["pose"], *run.times
     wanted = np.array([plan.wanted(x).GetAsMatrix4() for x in t])
-    result = HandResult(plan.rolling, plan.config, *seen, plan, wanted, said["q"], said["torque"])
+    result = HandResult(plan.rolling, plan.config, *seen, plan, wanted, logs["q"], logs["torque"])
     run.film(result)
     return result
 
 
-def _lasting(scene: Scene, config: StationConfig, duration: float | None) -> float:
-    """How long a simulation lasts, s."""
+def _checked_duration(scene: Scene, config: StationConfig, duration: float | None) -> float:
+    """How long a simulation lasts, s; the scene's duration if None is given."""
     duration = scene.duration if duration is None else duration
     step = config.time_step or CONTINUOUS.max_step_size
     if not finite_number(duration, f"{scene.title}: duration") >= step:
@@ -241,7 +241,7 @@ def _lasting(scene: Scene, config: StationConfig, duration: float | None) -> flo
 
 
 def _hand_planned(plan: Reorientation, t: Array) -> dict[str, Array]:
-    """What is planned, as a SimulationResult has it."""
+    """`SimulationResult.planned` of a hand's plan, interpolated at times t."""
     inside = np.clip(t, plan.t[0], plan.t[-1])
     planned = {
         "state": np.unwrap(plan.states, axis=0),
@@ -258,15 +258,16 @@ def _hand_planned(plan: Reorientation, t: Array) -> dict[str, Array]:
     return found
 
 
-Asked = dict[str, Callable[[], Any]]
+Logged = dict[str, Callable[[], Any]]
+"""Functions that give the current values, by the names of the logs that they are noted in."""
 
 
 class Run:
-    """A station, and what is seen of it while it is simulated.
+    """A simulation of a station, and its logs.
 
     Attributes
     ----------
-    station, parts : of what ``make`` made, with visualizers where a recording is wanted
+    station, parts : Diagram and ScenePlant that ``make`` gave, with visualizers for a recording
     root : Context
     times : s, of making the station and of simulating it
     """
@@ -277,7 +278,7 @@ class Run:
         make: Callable[[], tuple[DiagramBuilder, ScenePlant]],
         recording: str | Path | None,
     ):
-        # hours later it has to be written
+        # refuse a wrong path now, not after hours of simulation
         self._path = None if recording is None else film_path(scene, recording)
         self._begun = time.perf_counter()
         builder, self.parts = make()
@@ -288,37 +289,36 @@ class Run:
         ApplySimulatorConfig(INTEGRATION if discrete else CONTINUOUS, self._simulator)
         self.root = self._simulator.get_mutable_context()
 
-    def follow(
-        self, duration: float, progress: Callable[[float], None] | None, asked: Asked
+    def advance(
+        self, duration: float, progress: Callable[[float], None] | None, logged: Logged
     ) -> tuple[Array, dict[str, Array], dict[str, Array]]:
-        """Simulate to the end; returns times, what was said then, also of the object's pose, and
-        what was measured.
-        """
-        config, plant, rows, following = self.parts.config, self.parts.plant, [], 0
+        """Simulate to the end; returns times, logs (with the object's pose), and measurements."""
+        config, plant, rows, next_period = self.parts.config, self.parts.plant, [], 0
         step = config.time_step
         longest = step or CONTINUOUS.max_step_size
-        period = longest * max(1, math.floor(min(LOGGED, duration) / longest + NEAR))
+        period = longest * max(1, math.floor(min(LOG_PERIOD, duration) / longest + NEAR))
         physics = plant.GetMyContextFromRoot(self.root)
         monitor = self.station.GetSubsystemByName("monitor")
         measured = partial(monitor.measured, monitor.GetMyContextFromRoot(self.root))
-        asked = asked | {
+        logged = logged | {
             "t": self.root.get_time,
             "pose": lambda: self.parts.object_body.EvalPoseInWorld(physics).GetAsMatrix4(),
             "measured": measured,
         }
 
         def note(root: Context) -> EventStatus:
-            nonlocal following
+            nonlocal next_period
             t = root.get_time()
             if progress is not None:
                 progress(t)
-            # others are the planner's, within a step of the plant, whose state is that of its end
+            # The planner's steps end within those of a discrete plant too, whose state is then
+            # ahead: log at the plant's steps only.
             if not step or abs(math.remainder(t, step)) < EARLY / 2:
                 periods = math.floor(t / period + NEAR)
-                due = periods >= following or t + max(step - EARLY, 0.0) >= duration
+                due = periods >= next_period or t + max(step - EARLY, 0.0) >= duration
                 if due or not (measured()[:, COLUMNS["normal_force"]] > 0).all():
-                    following = periods + 1
-                    rows.append([np.array(ask()) for ask in asked.values()])
+                    next_period = periods + 1
+                    rows.append([np.array(value()) for value in logged.values()])
             return EventStatus.DidNothing()
 
         self._simulator.set_monitor(note)
@@ -326,8 +326,8 @@ class Run:
         made = time.perf_counter()
         self._simulator.AdvanceTo(duration)
         self.times = made - self._begun, time.perf_counter() - made
-        said = {name: np.array(values) for name, values in zip(asked, zip(*rows))}
-        return said["t"], said, _measurements(said["measured"], config)
+        logs = {name: np.array(values) for name, values in zip(logged, zip(*rows))}
+        return logs["t"], logs, _measurements(logs["measured"], config)
 
     def film(self, result: SimulationResult) -> None:
         """Write the recording that shows a result, if one is wanted."""
@@ -336,7 +336,7 @@ class Run:
 
 
 def film_path(scene: Scene, recording: str | Path) -> Path:
-    """Where a film can be written."""
+    """The path of a recording; refuses one that cannot be written."""
     path = a_path(recording, f"{scene.title}: recording")
     if not path.parent.is_dir() or path.is_dir() or path.suffix != ".html":
         raise SceneError(
@@ -346,9 +346,9 @@ def film_path(scene: Scene, recording: str | Path) -> Path:
     return path
 
 
-def _measurements(said: Array, config: StationConfig) -> dict[str, Array]:
-    """As a SimulationResult has them."""
-    measured = {name: said[:, :, columns] for name, columns in COLUMNS.items()}
+def _measurements(rows: Array, config: StationConfig) -> dict[str, Array]:
+    """`SimulationResult.measured` of the monitor's rows (m, n, 17)."""
+    measured = {name: rows[:, :, columns] for name, columns in COLUMNS.items()}
     normal = measured["normal_force"] = measured["normal_force"][:, :, 0]
     forces = np.dstack([measured["tangential_force"], normal])
     measured["friction_used"] = friction_used(forces, [0.0, 0.0, 1.0], config.friction)
