@@ -1,7 +1,7 @@
-"""Accuracy bars: errors against truth that contact_system has no part in, and exact identities.
+"""Accuracy bars: errors against independent truth, and errors of exact identities.
 
 Truth: 30-digit references of ``tests/oracles``, closed forms in mpmath, geographiclib. Identities:
-slip law, Jacobi's integral, chart round trip, with charts, profiles and gain laws of the package.
+slip law, Jacobi's integral, chart round trip, for charts, profiles and gain laws of the package.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Array = np.ndarray
 
 
 def reference_error(scene: cs.Scene, record: dict[str, Any], tolerance: float = 1e-12) -> float:
-    """Greatest distance of contact points from a scene's reference, of each body's size."""
+    """Greatest distance of contact points from a scene's reference, over the body's size."""
     points = cs.plan(scene, tolerance).points(record["times"])
     worst = 0.0
     for i, truth in enumerate(record["contacts"]):
@@ -37,7 +37,7 @@ def reference_error(scene: cs.Scene, record: dict[str, Any], tolerance: float = 
 
 
 def references(full: bool) -> Iterator[Bar]:
-    """K1 to K4 with the printed gain, K1 and K2 with that of the reported times; stiff slip."""
+    """K1 to K4 with the printed gain, K1 and K2 also with law `time`; scenes of stiff slip."""
     errors = []
     for name, law in (("k_scenes", "path"), ("k_scenes_time", "time")):
         for key, record in load(name)["scenes"].items():
@@ -83,13 +83,13 @@ def slip_law(full: bool) -> Iterator[Bar]:
 
 
 def _slip_law_error(scene: cs.Scene) -> float:
-    """Of the states' slip and of Plan.slip: magnitude against the law; and their difference."""
+    """Errors of slip from states and of Plan.slip against the law, and their difference."""
     t = np.linspace(0.0, scene.duration, 101)
     plan, profile, contact = cs.plan(scene), scene.profile, scene.contacts[0]
-    rates, told = slip_of_states(scene, plan.states(t))[:, 0], plan.slip(t)[:, 0]
+    rates, slip = slip_of_states(scene, plan.states(t))[:, 0], plan.slip(t)[:, 0]
     start = reflection(contact.angle) @ contact.finger_velocity - contact.object_velocity
     law = np.hypot(*start) * profile(t) * np.exp(-scene.gain.exponent(profile, t))
-    differences = [np.hypot(*rates.T) - law, np.hypot(*told.T) - law, *(rates - told).T]
+    differences = [np.hypot(*rates.T) - law, np.hypot(*slip.T) - law, *(rates - slip).T]
     return float(max(np.abs(d).max() for d in differences) / law.max())
 
 
@@ -117,7 +117,7 @@ def revolutions(full: bool) -> Iterator[Bar]:
 
 
 def _long_scene(surface: cs.Surface, at: Any, w: Any, random: np.random.Generator) -> cs.Scene:
-    """Rolls a plane along a geodesic of the surface; the profile and its horizon are random."""
+    """A plane rolls along a geodesic of the surface; profile and duration are random."""
     coefficients, duration = random.uniform(0.1, 1.0, random.integers(1, 5)), random.uniform(1, 1e3)
     around = math.hypot(*w) if isinstance(surface, cs.Sphere) else w[0]
     goal = REVOLUTIONS * 2 * math.pi * surface.size / around
@@ -199,7 +199,7 @@ def _spheroid_scene(f: float, latitude: float, azimuth: float, length: float) ->
 
 
 def spheroid_point(f: float, latitude: float, longitude: float) -> Array:
-    """Of flattening f and equatorial radius 1; degrees."""
+    """A point of a spheroid with flattening f and equatorial radius 1; angles in degrees."""
     beta, turn = _reduced(f, latitude), math.radians(longitude)
     around = (math.cos(beta) * math.cos(turn), math.cos(beta) * math.sin(turn))
     axial = (1 - f) * math.sin(beta)
@@ -221,7 +221,7 @@ def round_trip(full: bool) -> Iterator[Bar]:
 def _trip_coordinates(
     name: str, at: tuple[float, float], random: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Random coordinates of a surface, and its difficult ones."""
+    """Random coordinates on a surface, and some near its poles, umbilics and seams."""
     half, n = math.pi / 2, 2000
     turn, other = random.uniform(-math.pi, math.pi, (2, n))
     around = np.repeat([0.0, 1.0, half, math.pi, -half, -2.5], 6)

@@ -19,7 +19,7 @@ WORDS += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 class Chromium:
-    """A browser with one page of a size in pixels; ``urls`` are all that the page asked for."""
+    """A browser with one page of a size in pixels; ``urls`` are those that the page requested."""
 
     def __init__(self, url: str, size: tuple[int, int] = (1200, 700)):
         from websockets.sync.client import connect
@@ -29,9 +29,9 @@ class Chromium:
         window = f"--window-size={size[0]},{size[1]}"
         words = [PROGRAM, *WORDS, window, f"--user-data-dir={self.folder.name}", "about:blank"]
         self.process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
-        told = Path(self.folder.name) / "DevToolsActivePort"
-        self.wait(lambda: told.exists() and told.read_text().count("\n"), 30)
-        port = told.read_text().split()[0]
+        file = Path(self.folder.name) / "DevToolsActivePort"
+        self.wait(lambda: file.exists() and file.read_text().count("\n"), 30)
+        port = file.read_text().split()[0]
         pages = json.load(urlopen(f"http://127.0.0.1:{port}/json"))
         page = next(page for page in pages if page["type"] == "page")
         self.socket = connect(page["webSocketDebuggerUrl"], max_size=None)
@@ -50,7 +50,7 @@ class Chromium:
         self.folder.cleanup()
 
     def ask(self, method: str, **params: Any) -> dict[str, Any]:
-        """The answer of the browser to a command."""
+        """Send the browser a command; returns its answer."""
         self.count += 1
         self.socket.send(json.dumps({"id": self.count, "method": method, "params": params}))
         while True:
@@ -73,7 +73,7 @@ class Chromium:
         return found["result"].get("value")
 
     def wait(self, reached: Any, seconds: float = 20) -> Any:
-        """What a function returns, or the script of a page, once that is true."""
+        """Wait until a function, or a script in the page, gives a true value; returns this."""
         end = time.monotonic() + seconds
         while not (found := self.run(reached) if isinstance(reached, str) else reached()):
             assert time.monotonic() < end, f"waited {seconds} s for {reached}"

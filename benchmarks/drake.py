@@ -1,10 +1,10 @@
-"""Drake: what the planner's derivatives cost, and what contact physics makes of D1 to D4.
+"""Drake: what the planner's derivatives cost, and how D1 to D4 go with contact physics.
 
-Costs are those of one evaluation of the derivatives inside a Simulator, beside a LeafSystem with as
-many states that does nothing, in turns in one process.
+Costs are those of one evaluation of the derivatives inside a Simulator, over those of a LeafSystem
+with as many states that does nothing, measured in turns in one process.
 
-The paper's are simulated over their whole horizon, with hydroelastic and with point contact; D4's
-bodies, under pushes, for as long as one takes, with the loop open and closed.
+The paper's scenes D1 to D3 are simulated over their whole duration, with hydroelastic and with
+point contact; D4 until 0.5 s after one push at a time, with the loop open and closed.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ RUNS = 200  # of the sweep
 SCENES = ("D1", "D2", "D3")
 MODELS = ("hydroelastic", "point")
 RECOVERY = {"D1": 0.2, "D2": 0.1, "D3": 1.0}
-PUSHED, AFTER = 0.2, 0.5  # [s] when a push begins, and what is looked at after it
+PUSHED, AFTER = 0.2, 0.5  # [s] when a push begins, and how long it is followed after its end
 SPEED_TIME = 0.5  # [s] simulated in a run of the speed comparison
 SCHEMES_TIME = 0.1  # [s] simulated under every scheme
 EULERS = ("explicit_euler", "semi_explicit_euler", "implicit_euler", "radau1", "runge_kutta2")
@@ -80,7 +80,7 @@ STEPS: dict[str, tuple[float, float | None]] = {
     **dict.fromkeys(("bogacki_shampine3", "runge_kutta3", "runge_kutta5"), (1e-3, 1e-2)),
     "cenic": (5e-4, 1e-4),
 }
-"""Greatest step, s, and accuracy, None without error control; 1e-3, None for others."""
+"""Greatest step, s, and accuracy, None without error control; other schemes: 1e-3, None."""
 COORDINATES = ("chart", "frame")
 TITLES = {"K1": "on a sphere", "D1": "on a sphere, with a window"}
 TIMED, EVALUATIONS = 0.3, 900
@@ -103,7 +103,7 @@ def simulator_of(
 
 
 class Empty(LeafSystem):
-    """So many continuous states, and derivatives that nobody computes."""
+    """A system with continuous states, whose derivatives take no time."""
 
     def __init__(self, x0: np.ndarray):
         super().__init__()
@@ -119,7 +119,7 @@ def _job(system: LeafSystem) -> Job:
 
 
 def cost(full: bool) -> Iterator[Bar]:
-    """One evaluation of the derivatives in a Simulator, over an empty system's."""
+    """One evaluation of the derivatives in a Simulator, less that of an empty system."""
     jobs = {}
     for name in TITLES:
         for coordinates in COORDINATES:
@@ -135,7 +135,7 @@ def cost(full: bool) -> Iterator[Bar]:
 
 
 def cenic(full: bool) -> Iterator[Bar]:
-    """D1 to 0.5 s beside a continuous plant, whose error alone cenic controls."""
+    """D1 to 0.5 s in a Diagram with a continuous plant; cenic controls only the plant's error."""
     scene = cs.load_scene("D1")
     truth = cs.plan(scene, 1e-13).points(0.5)[0]
     for step in (0.1, 1e-2, 1e-3, 1e-4):
@@ -164,16 +164,16 @@ def cenic(full: bool) -> Iterator[Bar]:
 
 @functools.cache
 def worst(name: str, model: str) -> dict[str, float]:
-    """The measures of a scene's worst contact over the whole horizon."""
+    """The greatest value of each number of the contacts' reports, over the scene's duration."""
     scene = cs.load_scene(name)
-    told = contact_table(simulate(scene, StationConfig.from_scene(scene, contact_model=model)))
-    rows = [{**asdict(report), "off": abs(report.normal_mean - 1)} for report in told]
+    reports = contact_table(simulate(scene, StationConfig.from_scene(scene, contact_model=model)))
+    rows = [{**asdict(report), "off": abs(report.normal_mean - 1)} for report in reports]
     numbers = [key for key, value in rows[0].items() if isinstance(value, float)]
     return {key: float(np.nanmax([row[key] for row in rows])) for key in numbers}
 
 
 def forces(full: bool) -> Iterator[Bar]:
-    """Normal force outside 0.1 s around edges, and friction against mu times it."""
+    """Normal force, but for 0.1 s around edges, and friction over mu times it."""
     for (model, limit), name in itertools.product(zip(MODELS, (0.05, 0.01)), SCENES):
         what, found = f"{name} {model}: ", worst(name, model)
         yield Bar(what + "mean normal force off 1 N by", 0.01, found["off"], "N")
@@ -198,9 +198,9 @@ def recovery(full: bool) -> Iterator[Bar]:
 
 
 def _pushed(size: float, time: float, across: bool, model: str, closed: bool) -> dict[str, float]:
-    """D4's finger 1 under one push: slip while touching and time off, summed, and distance left.
+    """D4's finger 1 after one push: path slid, time off the object, and distance left.
 
-    size : N; the force stays as it is in the world
+    size : N, of a force that is constant in the world
     """
     scene, finger = cs.load_scene("D4"), 0
     around = PUSHED + np.array([-1e-5, 0, 1e-5])
@@ -218,7 +218,7 @@ def _pushed(size: float, time: float, across: bool, model: str, closed: bool) ->
 
 
 def feedback(full: bool) -> Iterator[Bar]:
-    """Pushes of 0.5 to 4 N on a finger of D4, along and across: loop closed over loop open."""
+    """Pushes of 0.5 to 4 N on a finger of D4, along and across its path: closed over open loop."""
     sizes, times = ((0.5, 2, 4), (0.02, 0.05, 0.3)) if full else ((2, 4), (0.02, 0.05))
     for model in MODELS:
         pairs = []
@@ -244,7 +244,7 @@ def feedback(full: bool) -> Iterator[Bar]:
 
 
 def noise(full: bool) -> Iterator[Bar]:
-    """D4 without pushes, 1 mrad and 0.1 of noise on what is measured, a restart every 10 ms."""
+    """D4 without pushes, with a restart every 10 ms from states with noise of 1 mrad, 0.1 rad/s."""
     scene, time = cs.load_scene("D4"), 3.0 if full else 0.5
     for model in MODELS:
         slipped = []
@@ -291,30 +291,30 @@ def reach(full: bool) -> Iterator[Bar]:
 
 
 def speed(full: bool) -> Iterator[Bar]:
-    """D1 as the command line runs it, with its film, in time of the processor, as others may use it
-    too: simulated over it, and what planner, driver, monitor and logs take of a step."""
+    """D1 with its film, as the command line simulates it: simulated over processor time; and how
+    much of a step planner, driver, monitor and logs take."""
     scene = cs.load_scene("D1")
     for model, limit in zip(MODELS, (0.4, 1.2)):
         config, rates = StationConfig.from_scene(scene, contact_model=model), []
         with tempfile.TemporaryDirectory() as folder:
             for _ in range(5 if full else 3):
-                run, film = _Race(), Path(folder) / "film.html"
+                run, film = _StepTimes(), Path(folder) / "film.html"
                 simulate(scene, config, SPEED_TIME, run, film)
                 rates.append(SPEED_TIME / sum(run.station))
         what, rate = f"D1 {model}: ", statistics.median(rates)
         yield Bar(what + "simulated over time spent", limit, rate, "x", True)
-        race = _Race(_plant_alone(scene, config))
-        simulate(scene, config, SPEED_TIME, race)
+        times = _StepTimes(_plant_alone(scene, config))
+        simulate(scene, config, SPEED_TIME, times)
         rest, plant = (
             1e3 * config.time_step / SPEED_TIME * value
-            for value in (sum(race.station) - sum(race.plant), sum(race.plant))
+            for value in (sum(times.station) - sum(times.plant), sum(times.plant))
         )
         note = f"the plant alone {plant:.2f} ms"
         yield Bar(what + "a step but for the plant", 0.5, rest, "ms", note=note)
 
 
-class _Race:
-    """What every step of a station takes, and of a plant alone beside it, in turns."""
+class _StepTimes:
+    """Processor time of each step of a station, and of a plant alone, in turns, s."""
 
     def __init__(self, step_alone: Callable[[float], float] | None = None):
         self.station, self.plant = list[float](), list[float]()
@@ -329,8 +329,8 @@ class _Race:
 
 
 def _plant_alone(scene: cs.Scene, config: StationConfig) -> Callable[[float], float]:
-    """Of the plant under the forces that a station's driver gave, none of it Python: what it spends
-    until a time, s. It begins each step where the station does, or it would lose contact.
+    """A function that advances the plant alone, without Python, to a time, and returns processor
+    time, s. Forces are those of a station's driver, and steps begin in the station's states.
     """
     station, step = BuildStation(scene, config), config.time_step
     simulator = Simulator(station)
@@ -366,7 +366,7 @@ def _plant_alone(scene: cs.Scene, config: StationConfig) -> Callable[[float], fl
 
 
 def schemes(full: bool) -> Iterator[Bar]:
-    """D1 on a continuous plant under all of Drake's schemes, against the discrete plant's."""
+    """D1 on a continuous plant under all of Drake's schemes, against the discrete plant."""
     plant = {"coordinates": "plan", "contact_model": "point"}
     discrete, _ = _points({**plant, "time_step": 1e-3}, "runge_kutta3", (1e-3, None))
     for scheme in GetIntegrationSchemes():
@@ -381,7 +381,7 @@ def schemes(full: bool) -> Iterator[Bar]:
 def _points(
     changes: dict[str, Any], scheme: str, how: tuple[float, float | None]
 ) -> tuple[np.ndarray, float]:
-    """Where the contacts of D1 are on the object at the end, and the time that it took, s."""
+    """D1's contact points on the object at the end, and the time that the simulation took, s."""
     scene, (step, accuracy) = cs.load_scene("D1"), how
     station = BuildStation(scene, StationConfig.from_scene(scene, **changes))
     simulator = simulator_of(station, scheme, step, accuracy)
@@ -394,7 +394,7 @@ def _points(
 
 
 def d1(k: int) -> cs.Scene:
-    """D1 for a second in point contact, its window early, with other friction and offsets."""
+    """D1 for a second in point contact, with an early window, and friction and offset by k."""
     scene = cs.load_scene("D1")
     offset = cs.ObjectRateOffset(contact=0, start=0.3, stop=0.6, value=(0.1 * (k % 20), 0.5))
     drake = scene.drake | {"contact_model": "point", "friction": 0.1 + 0.05 * (k // 20)}

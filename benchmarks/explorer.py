@@ -45,18 +45,18 @@ PRESS = """(async () => {
   gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   return performance.now() - begin;
 })()"""
-"""Press a key on the slider of the gain; ms until the plot has new data (and an old picture was
-drawn: viser takes messages at a frame's start) and the next frame is done."""
+"""Press a key on the slider of the gain; ms until the plot has new data (and a frame with the old
+picture is drawn, as viser reads messages when a frame begins) and the next frame is done."""
 
 EMPTY = """(() => {
   const {scene} = window.__viserMutable;
   scene.traverse(node => { if (node.isMesh || node.isLine) node.visible = false; });
 })()"""
-"""Let pictures be empty: what is left is not the page's but the browser's."""
+"""Hide all objects: the time that an empty picture takes is the browser's, not the page's."""
 
 
 def served(full: bool) -> Iterator[Bar]:
-    """A new process that has the packages' files in the system's cache."""
+    """Time from import to page in new processes, with the packages' files in the system's cache."""
     found = in_new_processes(7 if full else 3, SERVED)
     yield Bar("import to page served, K4", 2.0, found["s"], "s")
 
@@ -87,7 +87,7 @@ def _pressed(page: Chromium, times: int) -> float:
     found = []
     for _ in range(times):
         found.append(page.run(PRESS))
-        time.sleep(0.6)  # until the pictures that viser draws after it are done
+        time.sleep(0.6)  # viser draws some more pictures
     return statistics.median(found)
 
 

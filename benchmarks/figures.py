@@ -47,7 +47,7 @@ def overview(
     figure.legend(named.values(), named.keys(), **place)
     figure.savefig(file, dpi=110)
     pyplot.close(figure)
-    with Image.open(file) as picture:  # to 64 colours, a quarter of the size; median cut mixes them
+    with Image.open(file) as picture:  # a quarter of the size; median cut would mix colours
         few = picture.convert("RGB").quantize(64, Image.Quantize.FASTOCTREE)
     few.save(file, optimize=True)
 
@@ -57,7 +57,7 @@ COLOURS |= {"crash": "tab:orange", "hang": "tab:purple"}
 
 
 def outcomes(records: Sequence[Any], file: Path) -> None:
-    """Write how cases of stress ended, by family, and how near right ones came to their bounds."""
+    """Draw how cases of stress ended, by family, and the errors of right ones over their bounds."""
     import matplotlib
 
     matplotlib.use("Agg")

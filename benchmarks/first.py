@@ -1,4 +1,4 @@
-"""What the first plan costs: every figure in new processes, of which the median counts."""
+"""What the first plan in a process costs; numbers are medians over new processes."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ print(json.dumps({"calls": calls, "files": sorted(files)}))
 
 
 def plans(full: bool) -> Iterator[Bar]:
-    """The first plan in a process and its points at 400 times, on users' surfaces too."""
+    """The first plan in a process and its points at 400 times, also on users' surfaces."""
     heavy = set()
     for name in (*SCENES, *USERS):
         found = in_new_processes(15 if full else 5, PLAN, name)
@@ -85,7 +85,7 @@ def imports(full: bool) -> Iterator[Bar]:
 
 
 def passed(full: bool) -> Iterator[Bar]:
-    """Python files and calls of ours that the first plan of K2 and its points pass."""
+    """How many Python files and calls of the package the first plan of K2 and its points use."""
     found = in_new_process(PASSED)
     files = found["files"]
     yield Bar("Python files that K2's first plan and points pass", 8, len(files))

@@ -1,7 +1,7 @@
-"""The planner as an FMU: exact, small, quick, the same everywhere, and not to be broken.
+"""The planner as an FMU: exact, small, quick, the same everywhere, and robust.
 
-Truth is `plan()`, this machine for others (wine, qemu), sanitizers for what is random. A tool that
-is missing leaves its bars unmeasured, and the note says what to install.
+FMUs are compared with `plan()`, and on other machines (wine, qemu) with this one; random calls run
+under sanitizers. If a tool is missing, its bars are not measured, and notes say what to install.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def fmu_of(scene: cs.Scene, version: str, *platforms: str, **options: Any) -> Fm
 
 
 def _cut(fmu: Fmu, names: Sequence[str], step: float, count: int) -> Array:
-    """Each step cut at random."""
+    """Values of names after each step, which is made of up to nine steps of random lengths."""
     slave, random, rows, t = _begun(fmu), np.random.default_rng(4), [], 0.0
     get = slave.getReal if fmu.version == "2.0" else slave.getFloat64
     for k in range(count):
@@ -75,14 +75,14 @@ def cosimulation(full: bool) -> Iterator[Bar]:
 
 
 def euler(full: bool) -> Iterator[Bar]:
-    """All scenes by Euler's method at the step of their FMUs, whose states are frames."""
+    """Model Exchange of all scenes by Euler's method at their FMUs' default steps."""
     worst, orders = {}, {}
     for name in SCENES:
         scene = scene_of(name)
         fmu = fmu_of(scene, "2.0")
         step = float(fmu.description.defaultExperiment.stepSize)
         errors = []
-        # over a long path an error of order 1 is as large as the bodies: told over a short one
+        # the order shows over a short path: over a long one the error is as large as the bodies
         for part, end in ((1, 1.0), (16, 0.02), (32, 0.02)):
             try:
                 errors.append(_by_euler(fmu, scene, step / part, end * scene.duration))
@@ -97,7 +97,7 @@ def euler(full: bool) -> Iterator[Bar]:
 
 
 def _by_euler(fmu: Fmu, scene: cs.Scene, step: float, end: float) -> float:
-    """How far the contact points are off the plan after so long, in metres."""
+    """How far the contact points are off the plan at the time ``end``, m."""
     contacts = range(1, len(scene.contacts) + 1)
     points = [f"contact[{i}].{side}.point" for i in contacts for side in ("finger", "object")]
     names = [f"{point}.{axis}" for point in points for axis in "xyz"]
@@ -110,7 +110,7 @@ def _by_euler(fmu: Fmu, scene: cs.Scene, step: float, end: float) -> float:
 
 
 def resynchronizing(full: bool) -> Iterator[Bar]:
-    """Set what is measured and go on from it, K1 to K4: one call of setReal, and the next step."""
+    """Go on from measured values, K1 to K4: one call of setReal, and the next step."""
     for measured in ("states", "pose"):
         worst, spent = 0.0, []
         for name in KINEMATIC:
@@ -124,7 +124,7 @@ def resynchronizing(full: bool) -> Iterator[Bar]:
 
 
 def _resynchronized(scene: cs.Scene, measured: str) -> Iterator[tuple[float, float]]:
-    """How far states are off after steps from what was measured, and time, us, a contact."""
+    """After steps from measured values: how far states are off, and time per contact, us."""
     plan, rest, trigger = cs.plan(scene, 1e-14), 1e-3, itertools.count(1.0)
     fmu, table = fmu_of(scene, "2.0", measured=measured), variable_table(scene, measured=measured)
     rows = [v for v in table.rows if ".measured." in v.name]
@@ -137,7 +137,7 @@ def _resynchronized(scene: cs.Scene, measured: str) -> Iterator[tuple[float, flo
         slave.setFMUstate(kept)
         slave.doStep(0.0, start)
         other = plan.restart(start, plan.states(start)[0] + 1e-3 * random.standard_normal((3, 9)))
-        times = start + rest * np.arange(11)  # again and again, as a tracker measures
+        times = start + rest * np.arange(11)  # a tracker measures at every step
         rotation, position = other.pose(times)[:, :, :3, :3], other.pose(times)[:, :, :3, 3]
         motion = [other.twist(times), rotation.reshape(11, 3, 9), position]
         parts = motion if measured == "pose" else [other.states(times)]
@@ -165,7 +165,7 @@ def other_importers(full: bool) -> Iterator[Bar]:
 
 
 def _imported(run: str, version: str, bar: float, *platforms: str) -> Bar:
-    """K4; by CVode long paths too; by CasADi, which knows no windows, with slip at the start."""
+    """K4; with CVode also long paths; with CasADi, without windows but with slip at the start."""
     scenes, what = [scene_of("K4")], f"FMI {version}, {run.replace('_', ' ')}: off plan()"
     if run == "fmpy_integrates":
         scenes = [scene_of(name) for name in (*KINEMATIC, "D1", "D2", "D3")]
@@ -201,13 +201,13 @@ def _off_host(name: str, version: str, target: str) -> float:
 
 
 def _states(fmu: Fmu) -> list[Any]:
-    """The variables of K1's three contacts that `Plan.states` has."""
+    """The output variables of K1's three contacts that are states of `Plan.states`."""
     names = {name for i in range(3) for name in columns(i)}
     return [v for v in fmu.outputs if v.name in names]
 
 
 def speed(full: bool) -> Iterator[Bar]:
-    """Steps of 1 ms of K1's three contacts in a loop in C; what nobody asks for is put off."""
+    """Steps of 1 ms of K1's three contacts in a loop in C; values are computed when read."""
     for version in VERSIONS:
         fmu, ns = fmu_of(scene_of("K1"), version), {}
         what = f"FMI {version}, loop in C: doStep of 1 ms, a contact"
@@ -234,14 +234,14 @@ def _begun(fmu: Fmu) -> Any:
 
 
 def _run(slave: Any, read: Callable[[], Any] = lambda: None) -> None:
-    """A second in steps of 1 ms."""
+    """Simulate a second in steps of 1 ms."""
     for k in range(COUNT):
         slave.doStep(k * STEP, STEP)
         read()
 
 
 def _job(fmu: Fmu, variables: Sequence[Any]) -> Job:
-    """A second by a new instance in fmpy, with the values of some variables after each step."""
+    """A second of a new instance in fmpy, with the values of some variables after each step."""
     references = [v.valueReference for v in variables]
 
     def call(slave: Any) -> None:
@@ -253,9 +253,9 @@ def _job(fmu: Fmu, variables: Sequence[Any]) -> Job:
 
 
 def pythonfmu(full: bool) -> Iterator[Bar]:
-    """The same through fmpy, beside pythonfmu; also with all states read after each step.
+    """Steps through fmpy, compared with an FMU of pythonfmu, also with all states read each time.
 
-    Most of the latter is fmpy's own time: it makes two C arrays and a list for every call.
+    Reading takes mostly fmpy's own time: it makes two C arrays and a list for every call.
     """
     kept, scene = tempfile.TemporaryDirectory(prefix="benchmarks-"), scene_of("K1")
     place = Path(kept.name)
@@ -278,7 +278,7 @@ def pythonfmu(full: bool) -> Iterator[Bar]:
 
 
 def _peer_error(fmu: Fmu) -> float:
-    """How far pythonfmu's states are from the plan after a second, of the greatest state."""
+    """How far pythonfmu's states are off the plan after a second, over the greatest state."""
     slave = _begun(fmu)
     _run(slave)
     found = np.array(slave.getReal([v.valueReference for v in fmu.outputs])).reshape(3, 9)
@@ -317,9 +317,9 @@ def package(full: bool) -> Iterator[Bar]:
 
 
 def fuzz(full: bool) -> Iterator[Bar]:
-    """Random calls, damaged state bytes under sanitizers: 10 000 of each.
+    """10 000 sequences of random calls and 10 000 damaged states under sanitizers.
 
-    full: of each in every FMU. What is measured is among the inputs.
+    full: so many in every FMU. Measured states or poses are among the inputs.
     """
     scenes = (scene_of("K2"), scene_of("K4"), EVERYTHING)
     count = 10_000 if full else -(-10_000 // (len(scenes) * len(VERSIONS)))
@@ -328,13 +328,13 @@ def fuzz(full: bool) -> Iterator[Bar]:
         fmu = fmu_of(scene, version, measured=("states", "pose")[seed % 3 > 0])
         try:
             program = Program("fuzz", fmu, sanitized=True)
-            said = program.run(count, count, seed, *fmu.model_arguments(), timeout=3600.0)
+            printed = program.run(count, count, seed, *fmu.model_arguments(), timeout=3600.0)
         except Unavailable as error:
             yield Bar(what, 0, None, note=str(error))
         except (AssertionError, subprocess.TimeoutExpired) as error:
             yield Bar(what, 0, 1, note=str(error)[:200].replace("\n", " "))
         else:
-            made, granted, slowest, call = said.split()
+            made, granted, slowest, call = printed.split()
             note = f"{made} calls, {granted} legal; slowest {slowest} s, {call}"
             yield Bar(what, 0, 0, note=note)
 

@@ -1,7 +1,7 @@
-"""pythonfmu stepping the same equations: an FMU whose steps are plain Python.
+"""An FMU of the same equations in plain Python, built with pythonfmu.
 
-The slave does what a user of pythonfmu would write: the paper's chart equations of all contacts,
-one classical Runge-Kutta step a communication step.
+It does what a user of pythonfmu would write: the paper's chart equations of all contacts, with one
+classical Runge-Kutta step in each communication step.
 """
 
 from __future__ import annotations

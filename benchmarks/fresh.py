@@ -1,6 +1,6 @@
-"""What a plan costs later: scenes made anew each time, of which nothing was ever planned.
+"""What plans cost later in a process, of scenes made anew each time, so that no cache helps.
 
-Times hold the plan and what it is asked for, not the making of the scene.
+Times are those of planning and evaluating, without making the scene.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ def _asked(times: np.ndarray, *outputs: str) -> Callable[[cs.Scene], Any]:
 
 
 def _like(name: str, *outputs: str) -> Job:
-    """Plans scenes like a bundled one and asks them."""
+    """A job that plans new scenes like a bundled one and evaluates outputs."""
     scene = cs.load_scene(name)
     times = np.linspace(0.0, scene.duration, POINTS)
     return Job(_asked(times, *outputs), partial(anew, scene))
 
 
 def scenes(full: bool) -> Iterator[Bar]:
-    """Later scenes like those that `first` plans; then all that K4 can be asked for."""
+    """Later scenes like those that `first` plans; then all outputs of K4."""
     jobs = {name: _like(name, "points") for name in LIMITS} | {"all": _like("K4", *OUTPUTS)}
     times = interleaved(jobs, 15 if full else 7)
     for name, limit in LIMITS.items():
@@ -88,7 +88,7 @@ def geodesic(full: bool) -> Iterator[Bar]:
     yield Bar("triaxial geodesic, fresh plan and its end", 0.06, ms, "ms", note=note)
 
 
-PEAKS = {1e2: 2.0, 1e5: 40.0, 1e7: 40.0}  # greatest eta sigma^2 [1/s]: times faster
+PEAKS = {1e2: 2.0, 1e5: 40.0, 1e7: 40.0}  # greatest eta sigma^2 [1/s]: bar, times faster
 
 
 def heyoka(full: bool) -> Iterator[Bar]:
@@ -111,7 +111,7 @@ def slip_scene(obj: cs.Surface, gain: cs.Gain) -> cs.Scene:
 
 
 def _slip(kind: str, obj: cs.Surface, peak: float, limit: float) -> Iterator[Bar]:
-    """Chart states under slip; truth is our plan at 1e-15, as exact as is told behind."""
+    """Chart states under slip; truth is our own plan at 1e-15, whose error the note tells."""
     scene, off = slip_scene(obj, cs.Gain.path(peak / 0.401**2)), truth_error(kind)
     name, times = f"slip, {kind}, peak {peak:.0e}", np.linspace(0.0, 1.0, POINTS)
     truth, forms = cs.plan(scene, 1e-15).points(times), {"chart": chart(scene, times)}
@@ -125,7 +125,7 @@ def _slip(kind: str, obj: cs.Surface, peak: float, limit: float) -> Iterator[Bar
 
 @functools.cache
 def truth_error(kind: str) -> float:
-    """Greatest error of plans at 1e-15 against 30 digits, peaks 1e0 to 1e7, of the size."""
+    """Greatest error of plans at 1e-15 against 30 digits, peaks 1e0 to 1e7, over the size."""
     peaks = load("slip_peaks")["scenes"].items()
     records = [r for key, r in peaks if key.startswith(kind)]
     records += load(f"{kind}_slip")["scenes"].values()

@@ -32,7 +32,7 @@ MANY, GREATEST = 50, 30.0  # random reorientations, degrees
 
 
 @functools.cache
-def _told(name: str, model: str) -> HandReport:
+def _report(name: str, model: str) -> HandReport:
     scene = cs.load_scene(name)
     return hand_report(simulate(scene, StationConfig.from_scene(scene, contact_model=model)))
 
@@ -41,7 +41,7 @@ def scenes(full: bool) -> Iterator[Bar]:
     """Where the object ends, or how far it drifts, friction, slip, limits."""
     for name, models in MODELS.items():
         for model in models:
-            told, what = _told(name, model), f"{name} {model}: "
+            told, what = _report(name, model), f"{name} {model}: "
             part = slice(None) if name == "H1" else slice(-1, None)  # H1's drift, else the end
             yield Bar(what + "off", 1.0, 1e3 * told.off[part].max(), "mm")
             angle = math.degrees(told.turned_off[part].max())

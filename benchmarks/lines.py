@@ -16,7 +16,7 @@ LIMITS = {
 
 
 def lines(full: bool) -> Iterator[Bar]:
-    """Of Python and, but for tests' hosts of FMUs, of C."""
+    """Lines of Python and C; of tests only Python, without the FMU hosts in C."""
     for folder, limit in LIMITS.items():
         endings = (".py",) if folder == "tests" else (".py", ".c", ".h")
         files = [file for file in (ROOT / folder).rglob("*") if file.suffix in endings]

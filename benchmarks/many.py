@@ -1,8 +1,7 @@
 """Many contacts in one scene, and many scenes: `cs.sweep` on one core and on two threads.
 
-A finger slides from places, directions and starting slips all over. Of every scene of a sweep the
-chart states and the slip at 100 times are worked out; the greatest slip, the last one and the end
-state are kept.
+Contacts differ in place, direction and starting slip. For each scene a sweep computes chart states
+and slip at 100 times, and keeps the greatest slip, the last one and the end state.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ _STEPS = [1.1347241384015194**-j for j in range(1, 7)]  # x^7 = x + 1: R6 sequen
 
 
 def contact(k: int) -> cs.Contact:
-    """Contact k: low-discrepancy values of six things, the same in every process."""
+    """Contact k of a low-discrepancy sequence over six parameters, the same in every process."""
     x = [(k + 1) * step % 1.0 for step in _STEPS]
     direction, own, left = 2 * math.pi * x[0], 2 * math.pi * x[1], 0.2 + x[2]
     return cs.Contact(
@@ -74,7 +73,7 @@ def _asked(outputs: tuple[str, ...], scene: cs.Scene) -> dict[str, np.ndarray]:
 
 
 def _law_error(scene: cs.Scene) -> float:
-    """Of the states' slip against the exact law (eq. `contracaccel`), of the greatest slip."""
+    """Error of the states' slip against its law (eq. `contracaccel`), over the greatest slip."""
     slip = np.linalg.norm(slip_of_states(scene, cs.plan(scene).states(TIMES)), axis=2)
     left = PROFILE(TIMES) / PROFILE(0.0) * np.exp(-GAIN.exponent(PROFILE, TIMES))
     return float(np.abs(slip - slip[0] * left[:, None]).max() / slip.max())
@@ -107,7 +106,7 @@ def crowd(full: bool) -> Iterator[Bar]:
 
 
 def kept(plan: cs.Plan) -> dict[str, np.ndarray]:
-    """Two numbers and a state a contact, of states and slip at 100 times."""
+    """What a sweep keeps of each contact: greatest and last slip, and the end state."""
     found = plan.evaluate(TIMES, "states", "slip_speed")
     slip = found["slip_speed"]
     return {"slip_peak": slip.max(axis=0), "slip_end": slip[-1], "state_end": found["states"][-1]}
@@ -120,7 +119,7 @@ def _timed(count: int, executor: Executor | None = None) -> tuple[float, np.ndar
 
 
 def sweep(full: bool) -> Iterator[Bar]:
-    """Scenes with slip, made on the way: on this thread, then on two, in turns."""
+    """Scenes with slip, made as the sweep needs them: on this thread and on two, in turns."""
     count = 100_000 if full else 20_000
     spent: dict[str, list[float]] = {"one": [], "two": []}
     tables: dict[str, Any] = {}

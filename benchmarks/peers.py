@@ -1,9 +1,9 @@
 """Other libraries on the same motion: the integrators that were fastest somewhere.
 
-A `Peer` builds a solver for one problem and one tolerance; just-in-time compilation and everything
-else that a second run would not repeat happens there, and is told apart. CVODES by Adams' methods,
-geographiclib and scipy's RK45, DOP853, LSODA, Radau and BDF were measured as well, and at no error
-of any problem was one of them the fastest.
+A `Peer` builds a solver for one problem and one tolerance. Just-in-time compilation, and all else
+that a second run would not repeat, happens there and is not timed. CVODES by Adams' methods,
+geographiclib and scipy's RK45, DOP853, LSODA, Radau and BDF were measured too; none of them was the
+fastest at any error of any problem.
 
 References: Biscani & Izzo, MNRAS 504, 2021 (heyoka, Taylor series); Hindmarsh et al., ACM TOMS 31,
 2005 (CVODES); Andersson et al., Math. Prog. Comp. 11, 2019 (CasADi, which calls it).
@@ -28,12 +28,12 @@ from .problems import Ode, Problem
 
 Array = np.ndarray
 Solver = Callable[[], Any]
-"""What the peer finds at the problem's times: one array of states (n, n_states) a contact."""
+"""Returns the states at the problem's times: for each contact an array (n, n_states)."""
 FINEST = 3e-16
-"""CVODES refuses relative tolerances below the rounding unit. Of stiff slip it reaches errors of
-1e-12 only here, sooner than any other peer."""
+"""CVODES refuses relative tolerances below the rounding unit. Under stiff slip it reaches an error
+of 1e-12 only with this one, but then sooner than any other peer."""
 HEYOKA = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14, 2.3e-16)
-"""A tolerance sets the order of the series."""
+"""Tolerances of heyoka, which determine the order of the series."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class Peer:
 
     name: str
     tolerances: tuple[float, ...]  # loosest first
-    build: Callable[[float], Solver] | None  # of a tolerance
-    points: Callable[[Any], Array]  # of what is found: (n, n_contacts, n_bodies, 3), m; not timed
+    build: Callable[[float], Solver] | None  # makes the solver for a tolerance; None: our planner
+    points: Callable[[Any], Array]  # result -> (n, n_contacts, n_bodies, 3), m; not timed
 
 
 def decades(first: int, last: int) -> tuple[float, ...]:
@@ -60,7 +60,7 @@ def heyokas(problem: Problem) -> Iterator[Peer]:
 
 
 def peers(problem: Problem, full: bool) -> Iterator[Peer]:
-    """All that are installed; ``full``: every decade of tolerance."""
+    """All peers that are installed; ``full``: with every decade of tolerance."""
     yield from heyokas(problem)
     some = decades(3, 14) if full else (1e-4, 1e-7, 1e-9, 1e-11, 1e-13)
     # The form in space is regular everywhere and has no trigonometry: the better choice.
@@ -69,7 +69,7 @@ def peers(problem: Problem, full: bool) -> Iterator[Peer]:
 
 
 def _solver(ode: Ode, advance: Callable[[int, Array], Array]) -> Solver:
-    """Chains the pieces of all contacts; ``advance``: (piece, state) -> states (n, n_states)."""
+    """Solves piece by piece for all contacts; ``advance``: (piece, state) -> (n, n_states)."""
 
     def solve() -> list[Array]:
         columns = []
@@ -116,7 +116,7 @@ def _function(ode: Ode) -> ca.Function:
     compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     if compiler is None:
         return plain
-    with tempfile.TemporaryDirectory() as folder:  # loaded, the files are not needed any more
+    with tempfile.TemporaryDirectory() as folder:  # not needed once the library is loaded
         code, library = ca.CodeGenerator(f"{name}.c"), f"{folder}/{name}.so"
         for each in (plain, plain.jacobian()):
             code.add(each)

@@ -28,7 +28,7 @@ Rates = Callable[[Any, Any, Sequence[Any], Sequence[Any]], list[Any]]
 
 @dataclass(frozen=True)
 class Piece:
-    """An interval without edges inside: outputs (n,), both ends included, s; what is constant."""
+    """An interval without edges inside: output times (n,), with both ends, s; parameters."""
 
     times: Array
     parameters: Array
@@ -50,7 +50,7 @@ class Ode:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What all methods solve."""
+    """A problem that all methods solve."""
 
     name: str
     make: Callable[[], cs.Scene]  # a new scene each time
@@ -58,20 +58,20 @@ class Problem:
     truth: Array  # contact points (n, n_contacts, n_bodies, 3), m
     sizes: Array  # (n_bodies,), m
     forms: dict[str, Ode]
-    output: str = "points"  # what a plan is asked for; of "states", points are made untimed
+    output: str = "points"  # of a plan; points that follow from "states" are not timed
 
     def solve(self, tolerance: float, scene: cs.Scene) -> Array:
-        """Plan a scene and ask it."""
+        """Plan a scene and evaluate the output."""
         return getattr(cs.plan(scene, tolerance), self.output)(self.times)
 
     def points(self, found: Array) -> Array:
-        """What `solve` returns -> the layout of ``truth``."""
+        """Contact points of a result of `solve`, in the layout of ``truth``."""
         if self.output == "states":
             found = points_of_states(self.make(), found)
         return found[:, :, 2 - len(self.sizes) :]
 
     def error(self, points: Array) -> float:
-        """Greatest distance from the truth, of the body's size."""
+        """Greatest distance from the truth, over the body's size."""
         return float((np.linalg.norm(points - self.truth, axis=3) / self.sizes).max())
 
 
@@ -86,7 +86,7 @@ def _pair(finger: cs.Surface, obj: cs.Surface, s: Array) -> Array:
 
 
 def problems() -> Iterator[Problem]:
-    """All that `work_precision` shows."""
+    """All problems of `work_precision`."""
     for name, record in load("geodesics")["geodesics"].items():
         yield _geodesic(name, record)
     peaks = load("slip_peaks")["scenes"]
@@ -108,14 +108,14 @@ def _rolling(name: str, record: dict[str, Any]) -> Problem:
 
 
 def sizes_of(scene: cs.Scene) -> Array:
-    """Of the bodies of its contacts, m."""
+    """Sizes of finger and object, (2,), m."""
     return np.array([scene.contacts[0].finger.size, scene.object.size])
 
 
 def chart(scene: cs.Scene, times: Array, slip: bool = True) -> Ode:
     """The paper's equations of a contact, gain law `path`: u1 v1 u1' v1' u2 v2 u2' v2' psi.
 
-    Parameters: eta, where it slips; in disturbed scenes also what is added to u1" v1" u2" v2".
+    Parameters: eta, if it slips; in disturbed scenes also the terms added to u1" v1" u2" v2".
     """
     finger, obj = scene.contacts[0].finger, scene.object
     c0, c1, c2 = (*scene.profile.coefficients, 0.0, 0.0)[:3]
@@ -161,7 +161,7 @@ class Metric:
 
 
 def metric(surface: cs.Surface, m: Any, u: Any, v: Any, du: Any, dv: Any) -> Metric:
-    """Of the charts of theory section 1, by hand."""
+    """The metric of a chart of theory section 1, derived by hand."""
     if isinstance(surface, cs.Cylinder):
         return Metric((surface.radius, 1.0), (0.0, 0.0), 0.0)
     if isinstance(surface, cs.Sphere):
@@ -274,7 +274,7 @@ def no_slip(output: str, count: int) -> Problem:
 
 
 def _of_space(states: Array) -> Array:
-    """Points of both bodies among points and path velocities."""
+    """Points of both bodies; for each, states hold a point and a path velocity."""
     return states.reshape(-1, 2, 6)[:, :, :3]
 
 

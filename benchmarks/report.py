@@ -23,7 +23,7 @@ class Bar:
     unit: str = ""
     least: bool = False  # ``measured`` must be at least ``limit``, not at most
     note: str = ""
-    holds: bool = True  # the bar's other condition, of which ``note`` tells
+    holds: bool = True  # False: a second condition fails, which ``note`` tells
 
     @property
     def met(self) -> bool | None:
@@ -73,7 +73,7 @@ def _line(cells: Iterable[str]) -> str:
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown, a line a row."""
+    """A table in Markdown, a line for each row."""
     lines = [head, ["---"] * len(head), *rows]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 

@@ -28,7 +28,7 @@ PAIRS = {
     "cylinder on sphere": (cs.Cylinder(0.02), cs.Sphere(0.3), 10.0),
     "sphere on torus": (SMALL, cs.Torus(0.3, 0.1), 10.0),
 }
-"""Finger, object, and the median's bar in ms; that of 99 % is ten times it."""
+"""Finger, object, and the bar of the median time, ms; that of the 99 % quantile is ten times it."""
 
 
 def _place(rng: np.random.Generator, surface: cs.Surface) -> tuple[float, float]:
@@ -40,7 +40,7 @@ def _place(rng: np.random.Generator, surface: cs.Surface) -> tuple[float, float]
 
 
 def drawn(rng: np.random.Generator, finger: cs.Surface, obj: cs.Surface) -> dict:
-    """Places and an angle, of a start or a goal."""
+    """Random places and angle of a start or a goal."""
     places = {"object_at": _place(rng, obj), "finger_at": _place(rng, finger)}
     return {**places, "angle": float(rng.uniform(-3.0, 3.0))}
 
@@ -77,7 +77,7 @@ def goals(full: bool) -> Iterator[Bar]:
 # --- geodesics -----------------------------------------------------------------------------------
 
 DENSE, PARTS = 720, 160
-"""Directions, and parts of the length, of the dense search."""
+"""Numbers of directions, and of points along each, of the dense search."""
 GROUND = cs.ParametricSurface(
     ("u", "v", "h*sin(5*u)*cos(4*v)"), parameters={"h": 0.1}, size=0.2, u_range=(-1, 1)
 )
@@ -89,7 +89,7 @@ CASES = {
 
 
 def _points(rng: np.random.Generator, surface: cs.Surface, n: int) -> np.ndarray:
-    """Random ones; on ellipsoids even on the sphere that they are stretched from."""
+    """Random points; on ellipsoids, uniform on the sphere that is stretched to them."""
     if isinstance(surface, cs.Ellipsoid):
         x = rng.normal(size=(n, 3))
         return x / np.linalg.norm(x, axis=1, keepdims=True) * [surface.a, surface.b, surface.c]
@@ -98,10 +98,10 @@ def _points(rng: np.random.Generator, surface: cs.Surface, n: int) -> np.ndarray
 
 
 def _shorter(surface: cs.Surface, a: np.ndarray, b: np.ndarray, length: np.ndarray) -> int:
-    """How many pairs have a shorter geodesic, by Newton's method from a grid of polar coordinates.
+    """How many pairs have a geodesic shorter than their length.
 
-    From each place of the grid that is nearer to b than its neighbours.
-    """
+    Newton's method starts at each point of a polar grid around a that is nearer to b than its
+    neighbours."""
     found = 0
     for i in range(0, len(length), 8):
         pairs, reach = Pairs(surface, a[i : i + 8], b[i : i + 8]), length[i : i + 8]

@@ -1,7 +1,7 @@
 """Stress: many cases at the edge of what can be computed; each is right, refused or a failure.
 
-A case plans a scene and judges the plan by exact laws. It runs in a process of its own under a
-watchdog, so that a hang or a crash of the whole process is counted and not suffered.
+A case plans a scene and judges the plan by exact laws. Cases run in a worker process under a
+watchdog, so that a hang or a crash of the process is counted, and does not end the bench.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ FAILURES = ("silent", "crash", "hang")
 
 @dataclass(frozen=True)
 class Family:
-    """Cases that are alike, each made anew from its index, so in any process and any order."""
+    """Cases of one kind. A case depends on its index alone, so any process can run it any time."""
 
     name: str
-    count: int  # cases in the quick form: indices 0 to count - 1
-    run: Callable[[int], Verdict]  # or raises, see `judged`
+    count: int  # of cases without --full: indices 0 to count - 1
+    run: Callable[[int], Verdict]  # may raise: use `judged`
 
 
 def judged(case: Callable[[], Verdict]) -> Verdict:
-    """The verdict of a case; what it raises is one too."""
+    """The verdict of a case; an exception gives one too."""
     try:
         return case()
     except cs.ContactSystemError as error:
@@ -63,10 +63,10 @@ def grid(
     always: dict[str, Any] | None = None,
     **axes: Sequence[Any],
 ) -> Family:
-    """All combinations of choices, each repeated with all else drawn anew.
+    """All combinations of some choices of `draw_trial`; each repeat draws all others anew.
 
-    ``cases`` are the first axis, several choices of `draw_trial` at once; ``always`` is chosen in
-    all; ``axes`` are further axes, values by the name of the choice.
+    ``cases`` is the first axis, each item of which makes several choices at once. ``axes`` are
+    further axes: for the name of a choice, its values. ``always`` holds choices of all cases.
     """
     lengths = [len(cases), *map(len, axes.values())]
     key = zlib.crc32(name.encode())
@@ -87,11 +87,11 @@ POLES = [
     *({"kind": "ellipsoid", "shape": shape} for shape in HARD),
     {"kind": "implicit_ellipsoid"},
 ]
-"""What has poles or umbilics."""
+"""Bodies with poles or umbilics."""
 
 
 def _poles() -> list[dict[str, Any]]:
-    """Every kind of pole, passed by object and finger at every distance."""
+    """Every kind of pole, passed on the object or the finger at every angle of `MISSES`."""
     cases = []
     always = {"profile": "constant", "windows": 0, "turns": 4.0}
     for what, side, miss in itertools.product(POLES, ("object", "finger"), MISSES):
@@ -102,7 +102,7 @@ def _poles() -> list[dict[str, Any]]:
 
 
 def _bowls() -> list[dict[str, Any]]:
-    """Fingers of a bowl's own form, less a part of their radius."""
+    """Fingers of the same form as their bowl, smaller by a part of the radius."""
     return [
         {"object": kind, "finger": kind, "ratio": 1.0 - less}
         for kind in ("sphere", "cylinder", "torus", "ellipsoid", "plane")
@@ -143,7 +143,7 @@ def _other_number(rng: random.Random, text: str) -> str:
 
 
 def _other_lines(rng: random.Random, text: str) -> str:
-    """A line is missing, or there twice."""
+    """Leave a line out, or write it twice."""
     lines = text.splitlines()
     k = rng.randrange(len(lines))
     lines[k : k + 1] = [lines[k]] * rng.choice((0, 2))
@@ -151,7 +151,7 @@ def _other_lines(rng: random.Random, text: str) -> str:
 
 
 def _other_sections(rng: random.Random, text: str) -> str:
-    """Two sections have changed places."""
+    """Exchange two sections."""
     parts = re.split(r"^(?=\[)", text, flags=re.MULTILINE)
     i, j = rng.randrange(len(parts)), rng.randrange(len(parts))
     parts[i], parts[j] = parts[j], parts[i]
@@ -159,7 +159,7 @@ def _other_sections(rng: random.Random, text: str) -> str:
 
 
 def _sound(plan: cs.Plan) -> Verdict:
-    """Right where all is finite and every point is on its surface."""
+    """Right if all results are finite and every point is on its surface."""
     t, meter = np.linspace(plan.start, plan.end, 50), Meter()
     for name, values in plan.evaluate(t, "points", "slip_speed", "pose", "twist").items():
         meter.see(f"finite {name}", np.where(np.isfinite(values), 0.0, math.inf), 1.0)
@@ -217,9 +217,9 @@ FAMILIES = {
 # --- running them --------------------------------------------------------------------------------
 
 LIMIT = 300.0 if "ASAN_OPTIONS" in os.environ else 30.0
-"""s of processor time after which a case hangs; sanitizers take ten times as long."""
+"""s of processor time after which a case counts as a hang; sanitizers take ten times as long."""
 WALL = 4 * LIMIT
-"""s, for a case that uses no processor, and for a worker to import what it needs."""
+"""s of wall-clock time, for a case that uses no processor; it includes a worker's imports."""
 
 
 class Record(NamedTuple):
@@ -231,7 +231,7 @@ class Record(NamedTuple):
 
 
 def _work(link: Connection, todo: list[tuple[str, int]]) -> None:
-    """What the worker does: verdicts of cases, one after the other."""
+    """Run cases in a worker, one after the other, and send their verdicts."""
     for name, index in todo:
         _limit(LIMIT)
         try:
@@ -248,7 +248,7 @@ def _limit(seconds: float) -> None:
 
 
 def search(chosen: list[tuple[Family, range]]) -> Iterator[Record]:
-    """Run cases: a worker does them, and after one that ends it or hangs another the rest."""
+    """Run cases in a worker; when a case ends it or hangs, a new worker runs those after it."""
     todo = deque((family.name, index) for family, indices in chosen for index in indices)
     context, lost = multiprocessing.get_context("spawn"), 0
     while todo:
@@ -257,14 +257,14 @@ def search(chosen: list[tuple[Family, range]]) -> Iterator[Record]:
         process.start()
         other.close()
         with contextlib.suppress(EOFError, ConnectionError):
-            while todo and (heard := link.poll(WALL)):
+            while todo and (answered := link.poll(WALL)):
                 verdict = link.recv()
                 yield Record(*todo.popleft(), verdict)
-        process.join(5 if heard else 0)
+        process.join(5 if answered else 0)
         process.kill()
         process.join()
         if todo:
-            slow = not heard or process.exitcode == -getattr(signal, "SIGPROF", 27)
+            slow = not answered or process.exitcode == -getattr(signal, "SIGPROF", 27)
             text = f"over {LIMIT:g} s" if slow else f"the process ended with {process.exitcode}"
             verdict = Verdict("hang" if slow else "crash", message=text)
             yield Record(*todo.popleft(), verdict)
@@ -273,7 +273,7 @@ def search(chosen: list[tuple[Family, range]]) -> Iterator[Record]:
 
 
 def cases(full: bool) -> Iterator[Bar]:
-    """All cases; ``full``: ten times as many, and none that was run before."""
+    """All cases; ``full``: ten times as many, with indices that earlier runs did not have."""
     first, more = (1000 * int(time.time()), 10) if full else (0, 1)
     chosen = [(f, range(first, first + more * f.count)) for f in FAMILIES.values()]
     records: list[Record] = []
@@ -293,7 +293,7 @@ def cases(full: bool) -> Iterator[Bar]:
     right = [r.verdict for r in records if r.verdict.outcome == "right"]
     worst = max((v.error / v.bound for v in right), default=NAN)
     yield Bar("greatest error over its bound, right cases", 1.0, worst)
-    from .figures import outcomes  # which needs matplotlib
+    from .figures import outcomes  # needs matplotlib
 
     outcomes(records, ROOT / "docs" / "stress.png")
 

@@ -1,4 +1,4 @@
-"""The laws that judge a plan in the stress bench. Nothing is judged by a second run of our own:
+"""The laws that judge a plan in the stress bench. No plan is judged by another plan of ours:
 
 ========================  =========================================================================
 law                       how it is written here
@@ -16,11 +16,11 @@ motion, anywhere          x(b) - x(a) = int x' dt, and D(M q'/sigma)/dt = (forci
                           sigma with parallel transport in space, as Gauss sums over short panels
 ========================  =========================================================================
 
-Bounds. A plan's tolerance bounds contact points as a part of the body's size; rounding adds
-64 eps, and 8 eps for every radian that the path turns at most (arc length and coordinates carry
-that many digits less after many revolutions). Call their sum e. Directions and normals lose kappa,
-size times greatest curvature, and what is read from chart coordinates a factor
-size / (least Lame coefficient) at a pole. Each law below states its multiple.
+Bounds. A plan's tolerance bounds the error of contact points over the body's size. Rounding adds
+64 eps, and 8 eps for each radian that the path can turn (after many revolutions arc length and
+coordinates have so many digits less). The sum is e. The error of directions and normals is greater
+by kappa, size times greatest curvature, and that of results from chart coordinates by
+size / (least Lame coefficient), which is large at a pole. Each law below states its multiple.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Verdict:
 
 @dataclass
 class Meter:
-    """Errors against their bounds; keeps the one that is worst by that measure."""
+    """Compares errors with their bounds, and keeps the one with the greatest ratio."""
 
     law: str = "nothing compared"
     error: float = 0.0
@@ -70,7 +70,7 @@ class Meter:
     compared: int = 0
 
     def see(self, law: str, error: Any, bound: Any) -> None:
-        """Take note of errors (any shape) and their bounds (of a shape that broadcasts)."""
+        """Compare errors (any shape) with their bounds (of a shape that broadcasts)."""
         error, bound = np.broadcast_arrays(np.abs(error), np.asarray(bound, dtype=float))
         if not error.size:
             return
@@ -88,8 +88,8 @@ class Meter:
         return Verdict("right" if right else "silent", self.error, self.bound, self.law)
 
 
-# What a refusal must name (a part that is made alone knows its own key only), and words that tell
-# what to do about it.
+# Patterns of what a refusal must contain: the place (an object made outside a scene can name only
+# its own key), the value, and a word of the remedy.
 PLACE = re.compile(
     r"scene|contact|gain|profile|disturbance|Sphere|Cylinder|Torus|Ellipsoid|Quadric|Surface|"
     r"^[\w ]+(\[\d\])?( =|:| at )"
@@ -103,11 +103,11 @@ REMEDY = re.compile(
 
 
 def refusal(text: str) -> Verdict:
-    """ "refused" if a text names place, value and remedy, else "crash" with what it lacks."""
+    """ "refused" if a text names place, value and remedy, else "crash" with what is missing."""
     parts = {"the scene or contact": PLACE, "a value": VALUE, "a remedy": REMEDY}
     missing = [name for name, pattern in parts.items() if not pattern.search(text)]
     if missing:
-        return Verdict("crash", message=f"the error names not {', '.join(missing)}: {text}")
+        return Verdict("crash", message=f"the error does not name {', '.join(missing)}: {text}")
     return Verdict("refused", message=text)
 
 
@@ -133,7 +133,7 @@ def left_over(sigma: Array, gain: cs.Gain, t: Array) -> Array:
 
 
 def _fallen(sigma: Array, t: Array) -> Array:
-    """sigma(0) times the factors by which sigma falls until t (n,)."""
+    """sigma(0) times the factors by which sigma falls, where it falls, until t (n,)."""
     slope, end = np.trim_zeros(poly.polyder(sigma), "b"), float(t.max())
     roots = poly.polyroots(slope) if len(slope) > 1 else np.array([])
     turns = (float(r.real) for r in roots if abs(r.imag) < 1e-6 * end and 0 < r.real < end)
@@ -149,7 +149,7 @@ def _fallen(sigma: Array, t: Array) -> Array:
 
 @dataclass
 class Sample:
-    """What a plan says at some times, all of them regular; pairs are finger's and object's."""
+    """Results of a plan at times where states exist; pairs are for finger and object."""
 
     t: Array  # (n,)
     states: Array  # (n, 9)
@@ -159,7 +159,7 @@ class Sample:
     rate: tuple[Array, Array]  # contact points' velocities in space (n, 3)
 
     def part(self, where: slice) -> Sample:
-        """Some of the times."""
+        """The sample at some of its times."""
         pairs = (self.x, self.frame, self.root, self.rate)
         own = ((a[where], b[where]) for a, b in pairs)
         return Sample(self.t[where], self.states[where], *own)
@@ -198,19 +198,19 @@ class Judge:
         self.windows = [(d.start, d.stop) for d in self.scene.disturbances]
         self.quiet = min([a for a, _ in self.windows], default=math.inf)
         self.speed = float(self._sigma(np.linspace(0, self.scene.duration, 33)).max())
-        # Terms of sigma cancel near its zeros: this is what its rounding counts in.
+        # Rounding of sigma is relative to this sum, as its terms cancel near its zeros.
         self.terms = float(poly.polyval(self.scene.duration, abs(self.sigma)))
         clear = np.where(abs(self.sigma) > 1e-30 * abs(self.sigma).max(), self.sigma, 0.0)
         self.roots = poly.polyroots(np.trim_zeros(clear, "b"))
         path = poly.polyval(self.scene.duration, poly.polyint(self.sigma))
         reach = path * (np.hypot(*self.w1) + np.hypot(*self.v))
-        if self.windows:  # `stress_scenes` draws disturbances that add no more than this
+        if self.windows:  # disturbances of `stress_scenes` make a path at most so much longer
             reach *= 10
         turns = [reach * b.kappa / b.size for b in self.bodies]
         self.e = [plan.tolerance + EPS * (64 + 8 * x) for x in turns]
 
     def verdict(self) -> Verdict:
-        """Every law in turn."""
+        """The verdict of all laws together."""
         if max(self.e) - self.plan.tolerance > 1e-3:
             return Verdict("silent", message="planned, though no digit of a point can be known")
         times = self._times()
@@ -218,8 +218,8 @@ class Judge:
         self._on_surfaces(everywhere)
         sample, gaps = self.sample(times)
         for text in gaps:
-            if (said := refusal(text)).outcome != "refused":
-                return said
+            if (found := refusal(text)).outcome != "refused":
+                return found
         if len(sample.t):
             self._states(sample)
             self._pose(sample)
@@ -228,7 +228,7 @@ class Judge:
         self._short_panel(sample)
         return self.meter.verdict()
 
-    # -- what the plan says
+    # -- results of the plan
 
     def _times(self) -> Array:
         end = self.scene.duration
@@ -238,7 +238,7 @@ class Judge:
         return np.unique([0.0, *drawn, *layer, *edges, *self.trial.special, end])
 
     def sample(self, times: Array) -> tuple[Sample, list[str]]:
-        """The plan at those of the times where states exist, and what it says about the others."""
+        """The plan at the times where states exist, and its errors' texts at the others."""
         gaps: list[str] = []
         try:
             states = self.plan.states(times)[:, 0]
@@ -271,16 +271,16 @@ class Judge:
     # -- laws
 
     def _chart_loss(self, sample: Sample, k: int) -> Array:
-        """Rounding of what is read from chart coordinates, (n,)."""
+        """Relative rounding error of what follows from chart coordinates, (n,)."""
         body, q = self.bodies[k], sample.states[:, 4 * k : 4 * k + 2]
         root = sample.root[k]
         least = np.minimum(root[:, 0, 0], root[:, 1, 1])
-        # A chart in metres counts from its own origin.
+        # Rounding of coordinates in metres grows with the distance from the chart's origin.
         reach = 1 + np.abs(q).max(axis=1) * np.maximum(1.0, np.minimum(1.0, least / body.size))
         return 64 * EPS * reach * np.maximum(1.0, body.size / least)
 
     def loss(self, sample: Sample, k: int) -> Array:
-        """Bound of a unit vector's error in space as read from states, (n,)."""
+        """Bound of the error of a unit vector in space that follows from states, (n,)."""
         return 4 * self.bodies[k].kappa * self.e[k] + self._chart_loss(sample, k)
 
     def _on_surfaces(self, points: Array) -> None:
@@ -292,7 +292,7 @@ class Judge:
             self.meter.see(f"point {k + 1} on its surface", away, self.e[k] * scale)
 
     def _states(self, sample: Sample) -> None:
-        """Coordinates say where the points are; rates say how fast."""
+        """Coordinates give the contact points, and rates their speeds by the exact law."""
         # An edge belongs to the window that starts there.
         sigma, still = self._sigma(sample.t), sample.t < self.quiet
         for k, (body, w) in enumerate(zip(self.bodies, self._path_velocities(sample.t))):
@@ -301,7 +301,7 @@ class Judge:
             bound = (2 * self.e[k] + self._chart_loss(sample, k)) * size
             away = np.linalg.norm(where - sample.x[k], axis=1)
             self.meter.see(f"f(u{k + 1}, v{k + 1}) is point {k + 1}", away, bound)
-            speed = np.hypot(*sample.plane(k).T)  # which does not underflow
+            speed = np.hypot(*sample.plane(k).T)  # hypot does not underflow
             bound = self.loss(sample, k) * (sigma + 1e-3 * self.terms) + 16 * EPS * self.terms
             bound *= 1 + np.hypot(*self.v)
             self.meter.see(f"speed of contact point {k + 1}", (speed - w)[still], bound[still])
@@ -335,8 +335,8 @@ class Judge:
     def _twist(self, sample: Sample, twist: Array, pose: Array, n2: Array, loss: list) -> None:
         """No spin; material points in contact move by slip alone; normals turn with the bodies."""
         omega, v = twist[:, :3], twist[:, 3:]
-        # Rates of normals, and how wrong they may be: |x'| kappa / size is a body's own turning;
-        # speeds are known to rounding of the greatest one.
+        # Rates of normals, and the scale of their errors: a body's normal turns by at most
+        # |x'| kappa / size; errors of speeds are relative to the greatest one.
         change = [b.turning(x, r)[1] for b, x, r in zip(self.bodies, sample.x, sample.rate)]
         fast = sum(
             (np.linalg.norm(r, axis=1) + 1e-3 * self.terms) * b.kappa / b.size
@@ -354,7 +354,7 @@ class Judge:
         self.meter.see("twist has slip alone", point + slip, 8 * rounding[:, None])
 
     def _slip(self, sample: Sample) -> None:
-        """The exact law, its direction, and the same from the states."""
+        """Slip against its law, slip from states, and the direction of slip."""
         slip = self.plan.slip(sample.t)[:, 0]
         length, still = np.linalg.norm(slip, axis=1), sample.t < self.quiet
         law = self._left(sample.t) * np.hypot(*self.v)
@@ -365,7 +365,7 @@ class Judge:
         scale = np.linalg.norm(finger, axis=1) + np.linalg.norm(obj, axis=1)
         bound = sum(self.loss(sample, k) for k in (0, 1)) * scale + floor
         self.meter.see("slip of states", rolled - obj - slip, bound[:, None])
-        # V and W2 are carried together: slip keeps its angle to R_psi M1 q1'.
+        # V and W2 are constant in one parallel frame: slip keeps its angle to R_psi M1 q1'.
         c, s = self.w2 @ self.v, self.w2[0] * self.v[1] - self.w2[1] * self.v[0]
         carried = np.array([[c, -s], [s, c]]) @ rolled.T / (self.w2 @ self.w2)
         carried *= self._left(sample.t) / np.maximum(self._sigma(sample.t), 1e-300)
@@ -373,7 +373,7 @@ class Judge:
         self.meter.see("direction of slip", (slip - carried.T)[clear], bound[clear, None])
 
     def _geodesics(self, times: Array, everywhere: Array, sample: Sample) -> None:
-        """Closed forms and integrals of the sides that run on geodesics."""
+        """Closed forms and first integrals of the curves that are geodesics."""
         kinds = [type(d) for d in self.scene.disturbances]
         free = (cs.FingerAcceleration not in kinds, not kinds and not self.v.any())
         path = poly.polyval(times, poly.polyint(self.sigma))
@@ -395,7 +395,7 @@ class Judge:
         along = sample.rate[k][clear] / sigma[:, None]
         value, by_x, by_p = body.shape.integral(sample.x[k][clear], along)
         first, from_x, from_p = body.shape.integral(x[None], p[None])
-        # the rate has the rounding of sigma, by which it is divided
+        # dividing the rate by sigma adds the rounding of sigma
         loss = self.loss(sample, k)[clear] + 16 * EPS * self.terms / sigma
         bound = 4 * self.e[k] * body.size * (by_x + from_x) + loss * (by_p + from_p)
         self.meter.see(f"integral of geodesic {k + 1}", value - first, bound)
@@ -403,7 +403,7 @@ class Judge:
     # -- the equations of motion over short panels
 
     def _short_panel(self, sample: Sample) -> None:
-        """Gauss sums over a panel from one of the times, where states exist."""
+        """The equations of motion over a short panel, from a random one of the sample's times."""
         count = len(sample.t)
         panel = self._panel(sample, int(self.random.integers(0, count))) if count else None
         if panel is None:
@@ -414,7 +414,7 @@ class Judge:
             self._balance(inside, 0.5 * WEIGHTS * (t[-1] - t[0]), acting)
 
     def _panel(self, sample: Sample, k: int) -> tuple[Array, list] | None:
-        """Ends and nodes of the panel from a time of the sample, and the windows around it."""
+        """Ends and nodes of the panel from time k of the sample, and the disturbances in it."""
         here, begin = sample.part(slice(k, k + 1)), float(sample.t[k])
         acting = [d for d in self.scene.disturbances if d.start <= begin < d.stop]
         edges = [e for w in self.windows for e in w] + [self.scene.duration]
@@ -426,13 +426,13 @@ class Judge:
         return begin + 0.999 * length * np.array([0.0, *(0.5 * (1 + NODES)), 1.0]), acting
 
     def _resolved(self, here: Sample, acting: list) -> float:
-        """Seconds in which nothing changes by more than a part of itself."""
+        """A length, s, of panels over which no quantity changes by more than a part of itself."""
         t, rates = here.t[0], [1e-300]
         sigma = float(self._sigma(t))
         fast = [float(np.linalg.norm(r)) + self.speed for r in here.rate]
         rates += [5 * f * b.kappa / b.size for f, b in zip(fast, self.bodies)]
         if sigma > 0 and not self._gone(float(self._left(here.t)[0]) / sigma):
-            # what is divided by sigma, and where the guaranteed law changes
+            # zeros of sigma, by which the laws divide, and extrema, where law `guaranteed` changes
             knots = [*self.roots, *self.scene.profile.extrema(0, self.scene.duration)]
             rates += [5 / max(abs(t - x), 1e-300) for x in knots]
             rates.append(self._stiffness(t, 1 / max(rates)))
@@ -446,7 +446,7 @@ class Judge:
         return 1 / max(rates)
 
     def _stiffness(self, t: float, length: float) -> float:
-        """Half of the greatest lam on a panel from t, not longer than one that this allows."""
+        """1/length of a panel from t, not longer than given, on which lam times length is <= 2."""
         while True:
             ahead = np.linspace(t, min(t + length, self.scene.duration), 5)
             lam = float(np.max(self.scene.gain.rate(self.scene.profile, ahead)))
@@ -455,15 +455,15 @@ class Judge:
             length /= 4
 
     def _gone(self, left: float) -> bool:
-        """There is no slip, or none but rounding, and nothing makes any."""
+        """Whether slip is zero but for rounding, and no disturbance makes any."""
         return not self.windows and (not self.v.any() or left < 1e-18)
 
     def _balance(self, sample: Sample, weights: Array, acting: list) -> None:
-        """x' and D(M q'/sigma)/dt integrate to what has changed."""
+        """The integrals of x' and D(M q'/sigma)/dt are the changes of x and M q'/sigma."""
         sigma = self._sigma(sample.t)
         gain = self.scene.gain.rate(self.scene.profile, sample.t)
         if self._gone(float(self._left(sample.t[:1])[0] / sigma[0])):
-            gain = 0 * gain  # a slip of rounding alone times any gain is no force
+            gain = 0 * gain  # a large gain would make a force of slip that is only rounding
         given = {kind: np.zeros(2) for kind in DISTURBANCES}
         for d in acting:
             given[type(d)] = given[type(d)] + d.value
@@ -482,11 +482,11 @@ class Judge:
             error = sample.x[k][-1] - sample.x[k][0] - weights @ sample.rate[k][1:-1]
             bound = 4 * self.e[k] * reach + loss * moved
             self.meter.see(f"point {k + 1} moves by its rate", error, bound)
-            # lam times an error of the velocities adds to their change
+            # errors of velocities times lam add to the change of the path velocity
             stiff = weights.sum() * gain.max()
             scale = np.linalg.norm(path, axis=1).max() + np.hypot(*self.w1)
             other = float(self.loss(sample, 0).max()) if k else 0.0
             error = path[-1] - path[0] - weights @ change[1:-1]
-            unsure = self.terms / sigma.min() * EPS * 64  # rounding of sigma, by which both divide
+            unsure = self.terms / sigma.min() * EPS * 64  # relative rounding of sigma, the divisor
             bound = 8 * (loss + other + unsure) * scale * (1 + stiff)
             self.meter.see(f"path velocity {k + 1} obeys its equation", error, bound)

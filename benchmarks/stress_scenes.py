@@ -1,7 +1,7 @@
 """Scenes of the stress bench: how bodies, paths, gains and disturbances are drawn.
 
-One maker (`draw_trial`) draws every scene, from a seeded generator here and from hypothesis in the
-tests; a family fixes some of its choices on a grid. Level functions are written here anew.
+`draw_trial` draws every scene, with a seeded generator here and with hypothesis in the tests; a
+family of cases fixes some choices. Level functions are written independently of the package.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = np.ndarray
 
 
 class Draw:
-    """Choices of a generator with a seed of integers; the tests let hypothesis choose."""
+    """Random choices with a seed of integers; in the tests hypothesis chooses instead."""
 
     def __init__(self, *seed: int):
         self.random = np.random.default_rng(seed)
@@ -40,12 +40,12 @@ class Draw:
 
 @dataclass(frozen=True)
 class Shape:
-    """F(x, p) = 0, a level function with its parameters; what it derives is CasADi's."""
+    """A surface F(x, p) = 0, with its parameters p; CasADi derives F."""
 
     F: Callable[[ca.SX, ca.SX], ca.SX]
     p: tuple[float, ...]
     integral: Callable[[Array, Array], tuple[Array, Array, Array]] | None = None
-    """Of geodesics: its value at points and directions (n, 3), and how it changes with each."""
+    """(points, directions) -> a first integral of geodesics, bounds of its derivatives by both."""
 
     def derived(self, x: Array, y: Array | None = None) -> tuple[Array, Array, Array]:
         """F (n,), grad F (n, 3) and (Hess F) y (n, 3) of points x and vectors y (n, 3)."""
@@ -67,7 +67,7 @@ def level_of_quadric(x: ca.SX, p: ca.SX) -> ca.SX:
 
 
 def quadric(A: Array, b: Sequence[float] = (0, 0, 0), c: float = 1.0) -> Shape:
-    """The same, with Joachimsthal's integral."""
+    """The quadric x A x / 2 + b . x = c / 2, with Joachimsthal's integral."""
 
     def integral(x: Array, p: Array) -> tuple[Array, Array, Array]:
         ax, ap = x @ A + b, p @ A
@@ -84,7 +84,7 @@ def level_of_tube(x: ca.SX, p: ca.SX) -> ca.SX:
 
 
 def clairaut(x: Array, p: Array) -> tuple[Array, Array, Array]:
-    """rho^2 phi'."""
+    """Clairaut's integral rho^2 phi'; see `Shape.integral`."""
     return x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0], np.ones(len(x)), np.hypot(x[:, 0], x[:, 1])
 
 
@@ -95,7 +95,7 @@ def level_of_waves(x: ca.SX, p: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True)
 class Body:
-    """A surface, a contact on it, and what is known about it without the package."""
+    """A surface, a contact on it, and what is known about it independently of the package."""
 
     surface: cs.Surface
     shape: Shape
@@ -103,15 +103,15 @@ class Body:
     size: float  # m; errors are counted in it
     kappa: float = 1.0  # size times the greatest curvature, at least 1
     line: str = ""  # "plane", "sphere" or "cylinder": its geodesics have this closed form
-    integrated: bool = True  # no closed form is known to a planner either
-    umbilics: bool = False  # the chart is Jacobi's
+    integrated: bool = True  # planners integrate its geodesics, as they have no closed form
+    umbilics: bool = False  # it has umbilics, and Jacobi's chart
 
     def normal(self, x: Array) -> Array:
         """Unit normals out of the body (n, 3)."""
         return self.turning(x, x)[0]
 
     def turning(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Unit normals, and how they change along y, which is -II(y, .) as a vector: (n, 3)."""
+        """Unit normals, and their derivatives along y, (n, 3) each."""
         _, slope, bend = self.shape.derived(x, y)
         length = np.linalg.norm(slope, axis=1, keepdims=True)
         length *= -1.0 if self.surface.inside else 1.0
@@ -119,7 +119,7 @@ class Body:
         return n, change - n * np.sum(n * change, 1, keepdims=True)
 
     def geodesic(self, x: Array, p: Array, s: Array) -> Array | None:
-        """Closed form of the geodesic from x along p (not unit: s is path), (n, 3), or None."""
+        """Closed form of the geodesic from x with velocity p at times s, (n, 3), or None."""
         speed = np.linalg.norm(p)
         if self.line == "plane":
             return x + p * s[:, None]
@@ -189,7 +189,7 @@ SHAPES: dict[str, Callable[[float, float, float, float], tuple[float, float]]] =
     "equal axes": lambda near, x, y, z: (1.0, 1.0),
     "any": lambda near, x, y, z: (y, z),
 }
-"""The smaller axes of ellipsoids, of what is drawn: ``near`` is nearly 1."""
+"""The two smaller axes of ellipsoids over the greatest, from drawn numbers; ``near`` is about 1."""
 
 
 def ellipsoid(draw: Draw, size: float, inside: bool, shape: str | None = None) -> Body:
@@ -207,19 +207,19 @@ def ellipsoid(draw: Draw, size: float, inside: bool, shape: str | None = None) -
 
 
 def turned(draw: Draw, size: float, inside: bool) -> Body:
-    """A quadric along no axis: ellipsoids, hyperboloids, cylinders."""
+    """A quadric with turned axes: ellipsoids, hyperboloids, cylinders."""
     values = draw.pick([(1, 2, 9), (1, 1.5, -0.5), (3, -1, -2), (1, 4, 0), (1, 1, 5), (1, 4, 4)])
     matrix = TURN @ np.diag(values) @ TURN.T / size**2
     matrix = (matrix + matrix.T) / 2
     surface = cs.Quadric(matrix, inside=inside)
     at = (draw.real(0.3, 1.2), draw.real(0.2, 1.2) * (size if values[2] == 0 else 1.0))
-    # Open quadrics are most curved at their waist or vertex, and have size = their longest axis.
+    # Open quadrics are most curved at their waist or vertex; their size is the longest axis.
     kappa = max(1.0, surface.size * max(map(abs, values)) / size) ** 2
     return Body(surface, quadric(matrix), at, surface.size, kappa)
 
 
 def chart_torus(draw: Draw, size: float, inside: bool) -> Body:
-    """A torus by a user's chart whose lines are sheared, so not orthogonal."""
+    """A torus by a user's chart whose coordinate lines are not orthogonal."""
     major, r = size / 1.3, 0.3 * size / 1.3
     f = ("(R + r*cos(v))*cos(u + 0.3*v)", "(R + r*cos(v))*sin(u + 0.3*v)", "r*sin(v)")
     surface = cs.ParametricSurface(f, parameters={"R": major, "r": r}, size=size, inside=inside)
@@ -274,33 +274,33 @@ PROFILES: dict[str, tuple[float, ...]] = {
     "zero inside": (0.25, -1.0, 1.0),
     "two zeros inside": tuple(poly.polymul(*[poly.polymul((-0.25, 1), (-0.75, 1))] * 2)),
 }
-"""sigma over its scale, of t over the horizon; coefficients from the lowest power."""
+"""sigma over its scale as a polynomial of t over the duration, from the lowest power."""
 LAWS = ("path", "time", "guaranteed")
 ETAS = tuple(10.0**k for k in range(-3, 13))
 DISTURBANCES = (cs.FingerAcceleration, cs.ObjectAcceleration, cs.ObjectRateOffset)
 TURNS = 40.0
-"""Radians that a body which needs integration turns at most, unless a family asks for more."""
+"""Greatest turn of a body that needs integration, rad, unless a family fixes ``most``."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A scene, how to plan it, and what is known about its bodies without the package."""
+    """A scene, how to plan it, and what is known about its bodies independently of the package."""
 
     scene: cs.Scene
     finger: Body
     object: Body
     tolerance: float = 1e-12
     special: tuple[float, ...] = ()
-    """Times beside the drawn ones, s."""
+    """Times to be judged besides drawn ones, s."""
     seed: int = 0
 
 
 def draw_trial(draw: Draw, **fixed: Any) -> Trial:
-    """A trial; ``fixed`` holds choices that are not to be drawn.
+    """Draw a trial; ``fixed`` holds choices that are not drawn.
 
-    These are finger, object (names of `BODIES`), size, ratio, shape, inside, profile, law, eta,
-    turns, duration, tolerance, slip, windows, angle, pole (see `_aimed`), bowl (the object hollow,
-    the finger not), most (radians that a body turns which needs integration).
+    Choices are finger, object (names of `BODIES`), size, ratio, shape, inside, profile, law, eta,
+    turns, duration, tolerance, slip, windows, angle, pole (side and angle, see `_aimed`), bowl (the
+    object is hollow, the finger is not), most (see `TURNS`).
     """
 
     def choose(key: str, values: Sequence[Any]) -> Any:
@@ -339,7 +339,7 @@ def draw_trial(draw: Draw, **fixed: Any) -> Trial:
 
 
 def stretched(shape: Sequence[float], length: float, duration: float) -> cs.Profile:
-    """The shape over a horizon, with this arc length in all."""
+    """The profile of a shape of `PROFILES`, with this arc length over the duration."""
     scale = length / duration / poly.polyval(1.0, poly.polyint(shape))
     return cs.Profile([scale * c / duration**k for k, c in enumerate(shape)])
 
@@ -359,7 +359,7 @@ def _contact(
         obj, finger = (body, finger) if side == "object" else (obj, body)
         special = tuple(duration * f for f in arc / length + np.array([0.0, -1e-9, 1e-9]))
         special = tuple(t for t in special if 0 <= t <= duration)
-        if side == "object":  # R_psi is its own inverse: what the finger does to that end
+        if side == "object":  # the finger's heading for this one; R_psi is its own inverse
             heading = -angle - heading
     slips = fixed["slip"] if "slip" in fixed else draw.pick([0, 1, 1, 2])
     slipping = (draw.real(-1, 1), draw.real(-1, 1))
@@ -375,21 +375,21 @@ def _contact(
 
 
 def _aimed(draw: Draw, body: Body, miss: float) -> tuple[tuple[float, float], float, float]:
-    """A start, a heading in its frame that runs into a pole or umbilic but for an angle, the path.
+    """A start, a heading there that misses a pole or umbilic by an angle, and the length up to it.
 
     Polar charts: along a meridian. Jacobi's chart: along the ellipse y = 0, which holds all four
-    umbilics, so the path to the first is not told (0).
+    umbilics; the length to the first one is not computed, but 0.
     """
     if body.umbilics:
         return (draw.real(0.3, 2.8), math.pi / 2), draw.pick([0.0, math.pi]) + miss, 0.0
     u = draw.real(0.2, 2.9)
-    # u is a polar angle on every chart with poles here; only a sphere's meridian is so simple
+    # u is the polar angle on all of these charts; only a sphere's meridian has a simple length
     arc = u * body.size if body.line == "sphere" else 0.0
     return (u, draw.real(-3, 3)), math.pi + miss, arc
 
 
 def _disturbance(draw: Draw, bodies: tuple[Body, Body], length: float, duration: float) -> Any:
-    """One window, as strong as the motion itself or weaker."""
+    """A disturbance as strong as the motion itself, or weaker, in one window."""
     kind = draw.pick(DISTURBANCES)
     start = draw.pick([0.0, 0.2, draw.real(0, 0.7)])
     stop = min(1.0, start + draw.pick([0.3, 1e-3, draw.real(0.01, 0.3)]))

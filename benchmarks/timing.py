@@ -15,19 +15,19 @@ from typing import Any
 
 from .report import ROOT
 
-SLOW = 0.2  # [s]: what takes longer is sampled twice only
+SLOW = 0.2  # [s]: calls that take longer are sampled only twice
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is timed: a call with an item that is made outside the time, such as a new scene."""
+    """A call to time; ``make`` gives its argument, such as a new scene, outside the time."""
 
     call: Callable[[Any], Any]
     make: Callable[[], Any] = lambda: None
 
 
 def sample(job: Job, count: int = 1) -> float:
-    """Seconds of the processor a call, over ``count`` calls with an item each."""
+    """Processor time of a call, s: the mean of ``count`` calls, each with a new argument."""
     items = [job.make() for _ in range(count)]
     call = job.call
     begin = time.process_time()
@@ -37,10 +37,10 @@ def sample(job: Job, count: int = 1) -> float:
 
 
 def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = 0.01) -> dict[Any, float]:
-    """Seconds a call of each job, in turns, so that a slow spell of the machine meets all of them.
+    """Processor time of a call of each job, s: the median of samples that are taken in turns.
 
-    The median of samples; every job is called before its time counts. A sample lasts ``burst`` s at
-    least, so that the clock's own cost is lost in it.
+    So a slow spell of the machine meets all jobs. Each job is called before it is timed. A sample
+    lasts at least ``burst`` s, so that reading the clock does not count.
     """
     counts = {}
     for name, job in jobs.items():
@@ -65,7 +65,7 @@ def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = 0.01) -> 
 
 
 def in_new_process(code: str, *arguments: str) -> Any:
-    """What a Python program prints as JSON in a process of its own."""
+    """Run a Python program in a new process; returns the JSON that it prints."""
     kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     command = [sys.executable, "-c", code, *arguments]
     done = subprocess.run(command, cwd=ROOT, env=kept, capture_output=True, text=True)
@@ -75,10 +75,10 @@ def in_new_process(code: str, *arguments: str) -> Any:
 
 
 def in_new_processes(count: int, code: str, *arguments: str) -> dict[str, Any]:
-    """Medians of the numbers that a program prints, each time in another process.
+    """Medians of the numbers that a program prints in ``count`` new processes.
 
-    The first run counts for nothing: it brings files into the machine's memory. What is no number
-    is that of the last run.
+    A run before them does not count, as it loads files into the machine's memory. Values that are
+    not numbers are those of the last run.
     """
     runs = [in_new_process(code, *arguments) for _ in range(count + 1)][1:]
     return {

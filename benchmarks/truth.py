@@ -1,6 +1,6 @@
 """Contact simulators against balls whose exact motion is known: error against run time.
 
-`truth_exact` says what the balls do and proves it, `truth_drake` and `truth_mujoco` let them go.
+`truth_exact` has the exact motions and a check of them; `truth_drake` and `truth_mujoco` simulate.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from .truth_exact import Ended, Setup, proof, setups
 STEPS = (4e-3, 1e-3, 2.5e-4)
 ACCURACIES = (1e-2, 1e-4, 1e-6)
 LIMIT = 1.5
-"""s of processor time that a run may take."""
+"""s of processor time after which a run is given up."""
 LOST = 10.0
-"""In radii: what is further off counts as this."""
+"""Greatest error that is reported, in radii."""
 BEGIN = time.perf_counter()
 Runs = dict[str, list[Ended]]
 FOUND: dict[str, Runs] = {}
-"""What this process ran: of each set-up each method's runs, from coarse to fine."""
+"""Runs of this process, by set-up and method, from coarse to fine."""
 EXACT: dict[str, tuple[float, float]] = {}
-"""Of each set-up how far off the exact side is, and the time it takes, s."""
+"""By set-up: the error of the exact motion, and the time to compute it, s."""
 
 
 def methods(setup: Setup) -> Iterator[tuple[str, Any, Any, tuple[float, ...]]]:
-    """Those that take a set-up: name, module, method, and steps in s or accuracies."""
+    """Methods that can simulate a set-up: name, module, method, and steps, s, or accuracies."""
     for method in truth_drake.METHODS:
         if truth_drake.takes(setup, method):
             knobs = ACCURACIES if method.scheme else STEPS
@@ -46,7 +46,7 @@ def methods(setup: Setup) -> Iterator[tuple[str, Any, Any, tuple[float, ...]]]:
 
 
 def exact(full: bool) -> Iterator[Bar]:
-    """The exact side: off from Newton's and Euler's equations, integrated anew, in radii."""
+    """Exact motions against Newton's and Euler's equations, integrated independently, in radii."""
     for name, setup in setups().items():
         end = np.array([setup.end])
         spent = interleaved({name: Job(lambda _, motion=setup.motion, t=end: motion(t))}, 5)[name]
@@ -58,13 +58,13 @@ def simulated(name: str, full: bool) -> Iterator[Bar]:
     """One set-up by all methods."""
     runs = FOUND.setdefault(name, {})
     for what, module, method, knobs in methods(setups()[name]):
-        # what a ball that goes with the wrench is told each step costs some us in both simulators
+        # where a wrench drives the ball, it costs some us a step in both simulators
         found = [module.run(name, method, knob, LIMIT) for knob in knobs]
         runs[what] = [run for run in found if run.whole]
-        said = [f"{_error(run):.1e} in {run.seconds:.3f} s" for run in runs[what]]
-        said += [f"given up after {LIMIT:g} s"] * (len(found) - len(said))
+        notes = [f"{_error(run):.1e} in {run.seconds:.3f} s" for run in runs[what]]
+        notes += [f"given up after {LIMIT:g} s"] * (len(found) - len(notes))
         best = min(map(_error, runs[what]), default=math.nan)
-        yield Bar(f"{name}, {what}", None, best, "radii", note=", ".join(said))
+        yield Bar(f"{name}, {what}", None, best, "radii", note=", ".join(notes))
 
 
 def _error(run: Ended) -> float:
@@ -75,7 +75,7 @@ def _error(run: Ended) -> float:
 
 
 def page(full: bool) -> Iterator[Bar]:
-    """The table in ``docs/truth.md``, and its figure, after a run of all set-ups."""
+    """Write the table in ``docs/truth.md``, and its figure, after a run of all set-ups."""
     known = setups()
     if len(FOUND) == len(known):
         file = ROOT / "docs" / "truth.md"
@@ -97,8 +97,8 @@ def tables() -> str:
         [what, *(_cell(runs.get(what), setups()[name]) for name, runs in FOUND.items())]
         for what in names
     ]
-    said = f"{truth_drake.VERSION}, {truth_mujoco.VERSION}, {surroundings()}"
-    return f"{markdown_table(['', *FOUND], rows)}\n{said}\n"
+    about = f"{truth_drake.VERSION}, {truth_mujoco.VERSION}, {surroundings()}"
+    return f"{markdown_table(['', *FOUND], rows)}\n{about}\n"
 
 
 def _cell(runs: list[Ended] | None, setup: Setup) -> str:

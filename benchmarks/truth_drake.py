@@ -30,13 +30,13 @@ from .truth_exact import MASS, Drive, Ended, Setup, setups
 
 VERSION = f"Drake {metadata.version('drake')}"
 STIFFNESS = 1e4
-"""N/m, at the force that presses."""
+"""N/m, of the contact at its normal force."""
 BALL = "finger_0"
 
 
 class Method(NamedTuple):
-    """A contact model; and an approximation of the discrete plant, or a scheme of a continuous one,
-    whose accuracy is then what a step is elsewhere."""
+    """A contact model, and an approximation of the discrete plant, or an integration scheme of a
+    continuous one, for which an accuracy takes the place of the step."""
 
     name: str
     model: str
@@ -51,14 +51,14 @@ METHODS += [Method(f"{m}, {s}", m, "lagged", s) for m in MODELS for s in SCHEMES
 
 
 def takes(setup: Setup, method: Method) -> bool:
-    """Drake's joints turn as prescribed on discrete plants alone, and its point contact's normal
-    between ellipsoid and sphere is up to 16 degrees off: `AddScenePlant` refuses both."""
+    """Whether `AddScenePlant` does not refuse it: a turning object needs a discrete plant, and the
+    normal of point contact between ellipsoid and sphere is up to 16 degrees off."""
     round_ = method.model != "point" or not isinstance(setup.surface, cs.Ellipsoid)
     return round_ and not (setup.table and method.scheme)
 
 
 def run(name: str, method: Method, step: float, limit: float = math.inf) -> Ended:
-    """A set-up by a method with a step, or an accuracy; it is given up after ``limit`` s."""
+    """Simulate a set-up by a method, with a step or an accuracy; give up after ``limit`` s."""
     depth = setups()[name].pressed / STIFFNESS * (1 if method.model == "point" else 2)
     setup = setups(*((depth / 2, depth / 2) if method.model == "point" else (depth, 0.0)))[name]
     simulator, plant = _built(setup, method, step)
@@ -82,12 +82,12 @@ def run(name: str, method: Method, step: float, limit: float = math.inf) -> Ende
 
 
 def _state(plant: MultibodyPlant) -> OutputPort:
-    """Of the ball (13,): quaternion, position, angular velocity, velocity."""
+    """State of the ball (13,): quaternion, position, angular velocity, velocity."""
     return plant.get_state_output_port(plant.GetModelInstanceByName(BALL))
 
 
 def _built(setup: Setup, method: Method, step: float) -> tuple[Simulator, MultibodyPlant]:
-    """As the set-up begins, at the depth where the ball stands."""
+    """Simulator and plant at the start of the set-up, with the ball as deep as it is pressed."""
     config = StationConfig(
         time_step=0.0 if method.scheme else step,
         contact_model=method.model,
@@ -121,7 +121,7 @@ def _built(setup: Setup, method: Method, step: float) -> tuple[Simulator, Multib
 
 
 class _Wrench(LeafSystem):
-    """What a `Drive` gives for the ball's state (13,), as a plant takes it."""
+    """The wrench of a `Drive` for the ball's state (13,), as an applied force of a plant."""
 
     def __init__(self, drive: Drive, ball: BodyIndex):
         super().__init__()

@@ -1,10 +1,10 @@
 """Balls whose exact motion is known, and the wrench under which a free ball moves so.
 
 A set-up is a ball on a surface. Its motion is a closed form or a plan of contact_system; a free
-ball follows it under gravity, or under the wrench that `Drive` gives at each step. Simulators let
-bodies sink into each other, so the exact ball and surface are those they roll on: ``less`` smaller.
-`integrated` solves Newton's and Euler's equations anew, with rolling imposed or Coulomb's friction,
-to judge the exact side.
+ball follows it under gravity, or under the wrench that `Drive` gives at each step. In simulators
+bodies sink into each other, so exact motions are those on smaller balls and surfaces, on which
+simulated ones roll. `proof` checks exact motions: it integrates Newton's and Euler's equations
+independently, with rolling imposed or with Coulomb's friction.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ SPEED = 0.3
 """m/s, of the contact along a plan."""
 UP = np.array([0.0, 0.0, 1.0])
 NODES, AFTER = 100, 0.05
-"""Chebyshev nodes of a drive, and how far it goes on beyond the end, s."""
+"""Chebyshev nodes of a drive, and s beyond the set-up's end that it also covers."""
 GUIDE = {"position": (100.0, 4.0), "rotation": (0.25, 0.008)}
-"""Stiffness and damping of what holds a ball to its path in the tangent plane, N/m and N s/m, or
-upright, N m and N m s: soft, and within what a step of 4 ms bears."""
+"""Stiffness and damping of the guide that holds a ball to its path in the tangent plane, N/m and
+N s/m, or upright, N m and N m s: soft, and stable at steps of 4 ms."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Of the ball's centre, at n times: x, v, w (angular velocity) and surface's normal (n, 3), m,
-    m/s, rad/s; orientation."""
+    """A ball's motion at n times: its centre's x, m, and v, m/s, w (angular velocity), rad/s, the
+    surface's normal, (n, 3) each; its orientation."""
 
     x: Array
     v: Array
@@ -50,14 +50,14 @@ class Motion:
     turned: Rotation
 
     def off(self, x: Array, turned: Rotation) -> float:
-        """How far a ball is from the first of these, in its radii: its centre's way and angle."""
+        """How far a ball is off the first pose: the centre, in radii, plus the angle, rad."""
         angle = (turned.inv() * self.turned[0]).magnitude()
         return float(np.linalg.norm(x - self.x[0]) / RADIUS + angle)
 
 
 @dataclass(frozen=True)
 class Ended:
-    """What became of a ball, and the processor time that it took, s; ``whole``: in time."""
+    """State of a ball at the end of a run, and its processor time, s; ``whole``: not given up."""
 
     setup: Setup
     t: float
@@ -73,25 +73,25 @@ class Ended:
 
     @property
     def error(self) -> float:
-        """How far off it is, in radii: its centre's distance and the angle."""
+        """How far off the ball is, as `Motion.off` measures it."""
         return self.exact.off(self.x, self.turned)
 
 
 @dataclass(frozen=True)
 class Setup:
-    """A ball on a surface and what it does: exactly ``motion(t)``."""
+    """A ball on a surface, and its exact motion."""
 
     name: str
-    scene: cs.Scene  # where the ball goes, of nominal size
-    surface: cs.Surface  # as it is rolled on
-    radius: float  # that the ball rolls on, m
+    scene: cs.Scene  # of nominal bodies, with the ball's path
+    surface: cs.Surface  # on which the ball rolls
+    radius: float  # m, on which the ball rolls
     motion: Callable[[Array], Motion]
     end: float  # s
     friction: float = 0.5
-    slope: float = 0.0  # of the gravity that presses, rad; with a guide the wrench presses
+    slope: float = 0.0  # of the plane, rad; with a guide the wrench presses, not gravity
     table: float = 0.0  # angular velocity of the surface about z, rad/s
-    guide: str = ""  # "position" or "rotation": a wrench drives the ball, and holds this softly
-    until: float = 0.0  # it slides until then, s
+    guide: str = ""  # "position" or "rotation": a wrench drives the ball, and softly guides this
+    until: float = 0.0  # s; the ball slides until then
 
     @property
     def pressed(self) -> float:
@@ -100,7 +100,7 @@ class Setup:
 
     @property
     def gravity(self) -> Array:
-        """m/s^2; none where a wrench presses."""
+        """m/s^2; none if a wrench drives the ball."""
         if self.guide:
             return np.zeros(3)
         return GRAVITY * np.array([math.sin(self.slope), 0.0, -math.cos(self.slope)])
@@ -112,7 +112,7 @@ class Setup:
 
 
 def motion_of_plan(scene: cs.Scene, t: Array) -> Motion:
-    """Of the first finger, a sphere, on an object at rest."""
+    """Motion of a plan's first finger, a sphere, on an object at rest."""
     found = cs.plan(scene).evaluate(np.asarray(t), "pose", "twist", "points")
     pose, twist = found["pose"][:, 0], found["twist"][:, 0]
     normal = pose[:, :3, 3] - found["points"][:, 0, 1]
@@ -122,7 +122,7 @@ def motion_of_plan(scene: cs.Scene, t: Array) -> Motion:
 
 
 def _at_height(height: float, motion: Callable[[Array], Motion], t: Array) -> Motion:
-    """The same with the ball's centre so high."""
+    """The motion with the ball's centre at this height, m."""
     found = motion(np.asarray(t))
     return replace(found, x=found.x * [1.0, 1.0, 0.0] + height * UP)
 
@@ -142,12 +142,12 @@ def _straight(v: float, w: float, a: float, alpha: float, until: float, t: Array
 
 
 def _circle(radius: float, t: Array) -> Motion:
-    """Weltner's: on a turning table, around its axis; in the frame that goes round with the ball
-    nothing changes."""
+    """Weltner's circle around the axis of a turntable; nothing changes in a frame that goes round
+    with the ball."""
     beta = INERTIA / (MASS * radius**2)
     rate, v0 = TABLE * beta / (1 + beta), np.array([0.0, SPEED, 0.0])
     x0 = np.cross(v0, UP) / rate
-    w0 = np.cross(UP, v0 - TABLE * np.cross(UP, x0)) / radius + TABLE * UP  # no drilling
+    w0 = np.cross(UP, v0 - TABLE * np.cross(UP, x0)) / radius + TABLE * UP  # no relative spin
     round_ = Rotation.from_rotvec(np.outer(t, rate * UP))
     turned = round_ * Rotation.from_rotvec(np.outer(t, w0 - rate * UP))
     return Motion(
@@ -162,11 +162,11 @@ PLANNED = {
     "principal ellipse": (cs.Ellipsoid(0.3, 0.2, 0.1), (0.0, 0.6, 0.8), (0.0, 1.0, 0.0)),
     "triaxial geodesic": (cs.Ellipsoid(0.3, 0.2, 0.1), (0.64, 0.48, 0.6), (0.2, -1.0, 0.5)),
 }
-"""Surface, where the contact starts over the axes, and where it goes."""
+"""Surface, where the contact starts, in units of its axes, and the direction in which it goes."""
 
 
 def setups(ball: float = 0.0, below: float = 0.0) -> dict[str, Setup]:
-    """All of them, where the ball rolls on so much less than its radius and so do surfaces."""
+    """All set-ups; the ball is smaller by ``ball``, and surfaces are lower by ``below``, m."""
     r = RADIUS - ball
     found = _on_planes(r, r - below)
     for name, (surface, start, way) in PLANNED.items():
@@ -179,7 +179,7 @@ def setups(ball: float = 0.0, below: float = 0.0) -> dict[str, Setup]:
 
 
 def _on_planes(r: float, height: float) -> list[Setup]:
-    """Those on planes, of balls whose centres are so high over the nominal plane, m."""
+    """Set-ups on planes, of balls of radius r with centres ``height`` over the nominal plane."""
     beta = INERTIA / (MASS * r**2)
     rolls = GRAVITY * math.sin(0.2) / (1 + beta)
     slides, grips = GRAVITY * math.sin(0.6), 0.1 * GRAVITY * math.cos(0.6)
@@ -209,7 +209,7 @@ def _on_planes(r: float, height: float) -> list[Setup]:
 
 
 def axes_of(surface: cs.Surface) -> Array:
-    """Of an ellipsoid or a sphere, (3,), m."""
+    """Semi-axes of an ellipsoid or a sphere, (3,), m."""
     return np.array([getattr(surface, k, surface.size) for k in "abc"])
 
 
@@ -225,7 +225,7 @@ def _on_plane(turning: cs.Turning | None = None) -> cs.Scene:
 
 
 def _geodesic(surface: cs.Surface, radius: float, start: Array, way: Array) -> cs.Scene:
-    """Rolling from a point over the surface's axes, along what ``way`` leaves in its plane."""
+    """A ball rolls from ``start``, in units of the axes, along ``way`` in the tangent plane."""
     at = surface.coordinates(np.array(start) * axes_of(surface))
     frame = surface.frame(*at)[:, :2]
     along = frame.T @ np.array(way)
@@ -259,13 +259,13 @@ def _slipping(radius: float) -> cs.Scene:
 class Drive:
     """The wrench on a ball, torque and force, under which it moves exactly as a set-up says.
 
-    What its acceleration needs, less the surface's normal force and its friction; and a soft guide,
-    which gives nothing on the exact path: across the normal, so that how the ball presses stays as
-    it is.
+    It is what the ball's acceleration needs, less the surface's normal force and friction, and a
+    soft guide that is zero on the exact path; the guide acts across the normal, so that it does not
+    change the normal force.
     """
 
     def __init__(self, setup: Setup, step: float = 0.0):
-        """step : s, of what holds a force over a step; it gets that of the middle."""
+        """step : s, in which a simulator holds a force; it gets that of the step's middle."""
         self._ahead, self._guide = step / 2, setup.guide
         self._half = (setup.end + AFTER) / 2
         nodes = self._half * (1 + chebyshev.chebpts2(NODES))
@@ -307,11 +307,11 @@ class Drive:
         return wrench
 
 
-# --- the exact side, judged -----------------------------------------------------------------------
+# --- checking exact motions -----------------------------------------------------------------------
 
 
 def proof(setup: Setup) -> float:
-    """How far the exact motion's end is from one integrated anew, in radii of the ball."""
+    """How far the exact motion's end is off one integrated independently (see `Motion.off`)."""
     start = setup.motion(np.zeros(1))
     p = start.x[0] - setup.radius * start.normal[0]
     state = np.hstack([p, start.v[0], start.w[0], start.turned[0].as_quat()])
@@ -338,10 +338,10 @@ def _solved(
 def _rates(
     setup: Setup, drive: Drive | None, rolling: bool, ahead: Array, t: float, state: Array
 ) -> Array:
-    """Of p (contact point), v, w and a quaternion, by Newton and Euler.
+    """Rates of p (contact point), v, w and a quaternion, by Newton and Euler.
 
-    Rolling imposes v = w x r n + V of the surface; else Coulomb's friction acts, against the slip
-    that is there first: what slides here slides straight on.
+    Rolling imposes v = w x r n + V of the surface. Else Coulomb's friction acts against ``ahead``,
+    the initial direction of slip, which does not change in these set-ups.
     """
     r, m, inertia = setup.radius, MASS, INERTIA
     p, v, w, quaternion = np.split(state, [3, 6, 9])
@@ -369,7 +369,7 @@ def _rates(
 
 
 def _normal(surface: cs.Surface, p: Array) -> tuple[Array, Array]:
-    """Outward normal, and what a shift of the point makes of it (3, 3)."""
+    """Outward normal, and its derivative by the point (3, 3)."""
     if isinstance(surface, cs.Plane):
         return UP, np.zeros((3, 3))
     axes = axes_of(surface)

@@ -1,4 +1,4 @@
-"""Set-ups of `truth_exact` in MuJoCo: its primitives and its own collision, stepped in a loop."""
+"""Set-ups of `truth_exact` in MuJoCo, with its own primitives and collision detection."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .truth_exact import INERTIA, MASS, RADIUS, Drive, Ended, Setup, setups
 
 VERSION = f"MuJoCo {mujoco.__version__}"
 SETTLING = 0.5
-"""s, in which a ball that is pressed on at rest finds its depth."""
+"""s, in which a ball at rest that is pressed sinks in to its depth."""
 
 
 class Method(NamedTuple):
@@ -43,7 +43,7 @@ METHODS = [
 
 
 def run(name: str, method: Method, step: float, limit: float = math.inf) -> Ended:
-    """A set-up by a method with a step; none of them comes near a ``limit``, s."""
+    """Simulate a set-up by a method, with a step; runs are so short that ``limit`` is not used."""
     depth = _depth(setups()[name], method, step)
     setup = setups(depth / 2, depth / 2)[name]
     model, data = _start(setup, method, step, still=False)
@@ -72,7 +72,7 @@ def _advance(setup: Setup, model: mujoco.MjModel, data: mujoco.MjData, steps: in
 
 
 def _depth(setup: Setup, method: Method, step: float) -> float:
-    """How deep the ball stands in the surface, m."""
+    """How deep the normal force presses the ball into the surface, m."""
     model, data = _start(setup, method, step, still=True)
     normal = setup.motion(np.zeros(1)).normal[0]
     at = data.qpos[-7:-4].copy()
@@ -85,7 +85,7 @@ def _depth(setup: Setup, method: Method, step: float) -> float:
 def _start(
     setup: Setup, method: Method, step: float, still: bool
 ) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """As the set-up begins, or at rest."""
+    """Model and data at the start of the set-up, moving or ``still``."""
     model = mujoco.MjModel.from_xml_string(_xml(setup, method, step))
     data = mujoco.MjData(model)
     start = setup.motion(np.zeros(1))

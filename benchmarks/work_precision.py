@@ -1,10 +1,10 @@
 """Work-precision diagrams: run time against achieved error, ours beside the peers.
 
-Error: greatest distance of a contact point from the truth, of the body's size. Time: that of the
-processor for one run with all outputs, in turns, the peers' solvers and initial states ready; ours
-plans a new scene each time and ends with contact points of both bodies, which the peers are spared.
-Times at a given error are interpolated along each method's best runs (log-log), where it has runs
-on both sides; else its cheapest run that is good enough counts.
+Error: greatest distance of a contact point from the truth, over the body's size. Time: processor
+time of one run with all outputs, measured in turns. The peers' solvers and initial states are made
+before; ours plans a new scene each time, and computes contact points of both bodies, which for the
+peers is not timed. Times at a given error are interpolated along each method's best runs (log-log);
+if no run has a larger error, the fastest run that is accurate enough counts.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .timing import Job, interleaved
 
 TARGETS = (1e-6, 1e-9, 1e-12)
 OURS = "ours"
-FLOOR = 2e-15  # tighter tolerances cannot show in double precision
+FLOOR = 2e-15  # an error that tighter tolerances cannot reduce in double precision
 
 
 class Run(NamedTuple):
@@ -35,9 +35,9 @@ class Run(NamedTuple):
 
 
 Curves = dict[str, list[Run]]
-"""Of one problem, by method."""
+"""Runs of one problem, by method."""
 FOUND: dict[str, Curves] = {}
-"""What was measured in this process, by problem; the summary's input."""
+"""Measurements of this process, by problem; the summary's input."""
 
 
 def measure(
@@ -47,9 +47,9 @@ def measure(
     limit: float = 0.1,
     repeats: int = 5,
 ) -> Curves:
-    """Ours and its rivals at all their tolerances.
+    """Runs of ours and of its rivals at all their tolerances.
 
-    A peer ends where it fails, is needlessly tight, or takes longer than ``limit`` s.
+    A peer's tolerances end where it fails, reaches `FLOOR`, or takes longer than ``limit`` s.
     """
     errors, jobs = {}, {}
     for peer in (*rivals, Peer(OURS, tolerances, None, problem.points)):
@@ -73,7 +73,7 @@ def measure(
 
 
 def _job(problem: Problem, peer: Peer, tolerance: float) -> Job:
-    """Ours plans a scene of which nothing was ever planned."""
+    """One run of a method; ours plans a new scene each time."""
     if peer.build is None:
         return Job(functools.partial(problem.solve, tolerance), problem.make)
     solver = peer.build(tolerance)
@@ -151,7 +151,7 @@ def _least(curves: Curves) -> float:
 
 
 def summary(full: bool) -> Iterator[Bar]:
-    """Of all problems that were run: geometric mean and least."""
+    """How many times faster ours is on the problems of this run: geometric mean and least."""
     found = [ratio(curves, target) for curves in FOUND.values() for target in TARGETS]
     faster = [r.faster for r in found if isinstance(r, Ratio)]
     if faster:
@@ -206,7 +206,7 @@ def _best(by_method: Curves) -> dict[str, Curve]:
 
 
 def page_text(by_problem: dict[str, Curves], about: str) -> str:
-    """Ratios by problem, their geometric mean, and where that was; slower ones are bold."""
+    """The page: ratios by problem, in bold if below 1, their geometric mean, and the machine."""
     rows, ratios = [], []
     for name, curves in by_problem.items():
         found = [ratio(curves, target) for target in TARGETS]

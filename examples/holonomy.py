@@ -1,7 +1,7 @@
 """Turning in place by rolling
 
-A closed path brings the finger back to the same points of both bodies, but turned: by minus the
-Gaussian curvature that its curves enclose. Here it turns by 40 degrees, without spin at any time.
+A closed path brings the finger back to the same points of both bodies, but turned. The angle is
+minus the Gaussian curvature that its curves enclose; here it is 40 degrees, without any spin.
 """
 
 from math import degrees, radians
