@@ -1,4 +1,4 @@
-"""What the tests of motion share: surfaces to move on, arithmetic that knows nothing of plans."""
+"""Shared by tests of motion: surfaces, scenes, and arithmetic that is independent of plans."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LONG = "drake_station fmu_robustness readme fmu_package examples drake_film drak
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let pytest-xdist keep the order of files; else those with most tests begin first."""
+    """Let pytest-xdist keep the order of files; by default files with most tests begin first."""
     config.option.loadscopereorder = False
 
 
@@ -29,13 +29,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
-    """None but this process for the tests of one file: another would only start more slowly."""
+    """0 workers, that is this process, for tests of one file: a worker would only start later."""
     files = {Path(argument.split("::")[0]) for argument in config.args}
     return 0 if len(files) == 1 and files.pop().is_file() else None
 
 
 def turned(*eigenvalues: float, **options: int) -> cs.Quadric:
-    """The quadric with these eigenvalues (1/m^2) and axes along nothing special."""
+    """The quadric with these eigenvalues (1/m^2) and axes along no coordinate axis."""
     matrix = TURN @ np.diag(eigenvalues) @ TURN.T
     return cs.Quadric((matrix + matrix.T) / 2, **options)
 
@@ -127,7 +127,7 @@ def several() -> cs.Scene:
 
 
 def assert_same(found: cs.Plan, expected: cs.Plan, t, bar: float, *asked: str) -> None:
-    """What is asked agrees to ``bar`` times its size, at least 1."""
+    """Results of two plans agree to ``bar`` times the greatest value or, if larger, times 1."""
     for ask in asked or ASK:
         truth = getattr(expected, ask)(t)
         allowed = bar * max(1.0, np.abs(truth).max())
@@ -143,7 +143,7 @@ def derivative(f, t: np.ndarray, h: float = 4e-3) -> np.ndarray:
 
 
 def assert_twist_is_the_rate_of_the_pose(plan: cs.Plan, t: np.ndarray, bar: float, h=4e-3) -> None:
-    """omega of R' R^T and the velocity of the finger's origin, of every contact."""
+    """Compare with omega from R' R^T and with the velocity of the finger's origin."""
     rate, pose, twist = derivative(plan.pose, t, h), plan.pose(t), plan.twist(t)
     turning = rate[..., :3, :3] @ pose[..., :3, :3].swapaxes(-1, -2)
     omega = turning[..., [2, 0, 1], [1, 2, 0]]

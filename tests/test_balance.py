@@ -1,4 +1,4 @@
-"""Contact forces that hold an object: closed forms, and grasps that are none."""
+"""Contact forces that hold an object: closed forms, and contacts that cannot hold it."""
 
 import math
 
@@ -66,7 +66,7 @@ def test_forces_exert_the_wrench_that_is_asked_for_at_every_time():
         ([0, np.pi], 0.5, (0.01, 0, 0), r"force of \(0, 0, 0\) N and a torque of \(-0.01, 0, 0\)"),
     ],
 )
-def test_no_grasp_is_refused_with_what_is_left_unbalanced(angles, friction, torque, left):
+def test_contacts_that_cannot_balance_are_refused_with_what_is_left(angles, friction, torque, left):
     points, normals = (np.tile(x, (2, 1, 1)) for x in ring(np.array(angles)))
     force, torque = [[0, 0, 0], [0, 0, WEIGHT]], [[0, 0, 0], torque]
     with pytest.raises(cs.SceneError, match=rf"^t = 0.3 s: .*{left}"):
@@ -118,7 +118,7 @@ def test_a_ball_is_held_where_gravity_is_on(model):
 
 
 def test_an_object_is_held_wherever_its_mass_centre_is():
-    """In a plant of one's own: its weight, through its mass centre."""
+    """In a user's own plant; the weight acts at the mass centre."""
     scene, builder, center = held(), DiagramBuilder(), np.array([0.01, 0.0, 0.005])
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 1e-3)
     inertia = SpatialInertia.SolidSphereWithMass(0.2, 0.03).Shift(-center)

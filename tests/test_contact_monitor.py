@@ -1,4 +1,4 @@
-"""ContactMonitor in a small plant of Drake's own spheres, against what Drake does to the bodies."""
+"""ContactMonitor in a small plant of spheres, against the motion that Drake gives the bodies."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ class Setup:
         self._advance()
 
     def height(self, depth: float) -> float:
-        """Where friction acts: at the object's surface, or midway in Drake's point contact."""
+        """Where friction acts: at the object's surface; in point contact at half of the depth."""
         return R2 - (depth / 2 if self.model == "point" and depth > 0 else 0.0)
 
     def _advance(self) -> None:

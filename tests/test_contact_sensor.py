@@ -1,4 +1,4 @@
-"""Contact states from a measured relative pose and twist alone, against plans."""
+"""Contact states from only a measured relative pose and twist, compared with plans."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def assert_same_states(scene: cs.Scene, measured: np.ndarray, planned: np.ndarra
 
 
 def conformity(finger: cs.Surface, obj: cs.Surface, row: np.ndarray) -> float:
-    """By how much a twist's rounding grows: greatest curvature over least relative one."""
+    """Factor by which rounding of a twist grows: greatest curvature over least relative one."""
     turn = reflection(row[8])
     first, second = finger.curvature_form(*row[:2]), obj.curvature_form(*row[4:6])
     least = np.linalg.norm(first + turn @ second @ turn, -2)
@@ -87,7 +87,7 @@ def test_contacts_are_found_below_a_thin_chart_and_far_along_a_wire():
 
 
 def probed(scene, pose, twist, points):
-    """What the probes find, (n, 37)."""
+    """Results of the probes, (n, 37)."""
     rows = []
     for probe, X_OF, V_OF, point in zip(probes_of(scene), pose, twist, points):
         probe.seen[:18] = *X_OF[:3].ravel(), *V_OF
@@ -112,7 +112,7 @@ def test_rates_hold_the_slip_measured_at_the_objects_surface():
 
 
 def near(scene, pose):
-    """What is measured from the grid point that is nearest to the object."""
+    """States measured from the grid point that is nearest to the object."""
     probe = probes_of(scene)[0]
     probe.seen[:12] = pose[:3].ravel()
     found = probe.find(probe.approach())

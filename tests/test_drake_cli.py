@@ -44,7 +44,7 @@ POINT = setting("contact_model=point")
 
 @functools.cache
 def simulated(name: str, **changes) -> SimulationResult:
-    """A scene with its disturbance early."""
+    """The simulation of a scene whose disturbance is moved to the start."""
     scene = cs.load_scene(name)
     windows = [dataclasses.replace(d, start=START, stop=STOP) for d in scene.disturbances]
     scene = scene.replace(disturbances=windows, duration=0.6)
@@ -53,7 +53,7 @@ def simulated(name: str, **changes) -> SimulationResult:
 
 
 def told(name: str, **changes) -> tuple[list, str]:
-    """Its reports, and all that is said of it."""
+    """A result's reports, and all the text that the command prints of it."""
     result = simulated(name, **changes)
     return contact_table(result), " ".join(" ".join(cli._told(result, None)).split())
 

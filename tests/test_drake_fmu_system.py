@@ -372,7 +372,7 @@ def test_the_fmu_may_end_the_simulation(build, version):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_contexts_go_their_own_ways(build, version):
+def test_contexts_are_independent(build, version):
     system = integrators(build(version))
     first = connected(system)
     first.AdvanceTo(2 * STEP)

@@ -80,7 +80,7 @@ def error(planner, context, plan=None):
 
 
 def plain(value):
-    """The float of any scalar of Drake's."""
+    """The value of any of Drake's scalars as a float."""
     for ask in ("value", "Evaluate"):
         value = getattr(value, ask)() if hasattr(value, ask) else value
     return float(value)
@@ -169,7 +169,7 @@ def test_implicit_schemes_take_long_steps_however_stiff_the_gain(scheme, eta):
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
 def test_a_simulation_may_begin_with_other_speeds_than_the_scene_has(coordinates):
-    """What slip and speed may become is measured from where a simulation begins."""
+    """Limits of slip and speed follow from where a simulation begins."""
     planner = ContactPlanner(cs.load_scene("K2"), coordinates)
     plan = cs.plan(planner.system.scene, 1e-13)
     faster = plan.states(0.2)[0]
@@ -457,7 +457,7 @@ def test_autodiff_turns_corners_too():
 
 
 def prepared(name, coordinates):
-    """A planner and a context that is nothing special."""
+    """A planner, and a context with arbitrary state and time."""
     planner = ContactPlanner(cs.load_scene(name), coordinates, disturbance_input=True)
     context = planner.CreateDefaultContext()
     random = np.random.default_rng(1)
@@ -607,7 +607,7 @@ def test_a_later_start_wants_the_state_of_that_time():
 
 
 def test_a_scene_that_starts_at_rest_is_watched_once_it_moves():
-    """The bowl: sigma(0) = 0, and an acceleration later, so that slip is integrated."""
+    """In the scene bowl sigma(0) = 0, and an acceleration acts later, so that slip is a state."""
     scene = cs.load_scene("bowl")
     planner = ContactPlanner(scene, "frame")
     assert error(planner, run(planner, 2.0, "runge_kutta5")) < 1e-9
@@ -635,7 +635,7 @@ def test_beyond_the_horizon_the_motion_goes_on_until_sigma_turns_negative(coordi
         ({"coordinates": "frames"}, "'frames' is unknown .*'frame'.*use one of chart, frame"),
     ],
 )
-def test_options_that_cannot_be_are_refused(options, message):
+def test_wrong_options_are_refused(options, message):
     with pytest.raises(cs.SceneError, match=message):
         ContactPlanner(cs.load_scene("K1"), **options)
     for make, wrong in ((ContactPlanner, "K4"), (BuildStation, "K4")):

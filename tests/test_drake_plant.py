@@ -24,7 +24,7 @@ DEPTH = 2e-4  # [m], where 10 kN/m carry 1 N
 
 
 class World:
-    """A scene's plant with a Context; forces are static ones where time_step is 0."""
+    """A scene's plant with a Context; if time_step is 0, forces are those at rest."""
 
     def __init__(self, scene, **changes):
         self.scene = scene
@@ -78,7 +78,7 @@ class World:
 
 
 def rolling(obj, finger=SPHERE, at=(1.0, 0.4), finger_at=(math.pi / 2, 0.0), length=0.3, name=""):
-    """A scene with one finger that rolls so far along a slanted curve."""
+    """A scene with one finger that rolls along a slanted curve of a given length."""
     contact = cs.Contact(finger, at, finger_at, finger_velocity=(0.6, 0.8))
     return cs.Scene(
         object=obj, contacts=[contact], profile=cs.Profile([length]), duration=1.0, name=name
@@ -305,7 +305,7 @@ def test_what_cannot_be_simulated_is_refused_with_reason_and_remedy(scene, chang
 
 @pytest.mark.parametrize("name", ["plant", "scene_graph", "turning"])
 def test_names_that_are_taken_in_a_diagram_are_refused_and_may_be_changed(name):
-    """Drake itself ends the process."""
+    """Without a check Drake would end the process."""
     scene, builder = cs.load_scene("C1"), DiagramBuilder()
     config = StationConfig(contact_model="point", object="turning")
     taken = builder.AddNamedSystem(name, ConstantVectorSource([0.0]))

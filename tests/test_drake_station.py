@@ -61,7 +61,7 @@ def disturbed():
 
 
 def speed(result):
-    """sigma: what the contact point travels on the object."""
+    """sigma, the speed of the contact point on the object."""
     return result.scene.profile(result.t)
 
 
@@ -156,7 +156,7 @@ def test_a_fingertip_of_any_kind_rolls_on_the_surface_at_its_depth(finger):
     [(cs.Torus(0.05, 0.02), (1.0, 0.3)), (cs.Ellipsoid(0.05, 0.04, 0.03), (1.0, 0.5))],
 )
 def test_fingertips_that_are_no_spheres_press_with_one_newton_and_roll(finger, at):
-    """The normal force passes their mass centres by."""
+    """The normal force does not pass through their mass centres."""
     contact, profile = cs.Contact(finger, (1.0, 0.2), at), cs.Profile([0.15])
     scene = cs.Scene(object=cs.Sphere(0.1), contacts=[contact], profile=profile, duration=0.6)
     result = simulate(scene, StationConfig.from_scene(scene, coordinates="frame"))
@@ -184,7 +184,7 @@ def test_a_finger_that_legs_steer_arrives_in_contact_physics():
 
 
 def pushed(push=None, model="point", scene=None, **changes):
-    """D4 with one push of 0.05 s on finger 1, at 0.1 s, open or closed, until within a step."""
+    """D4 with one push of 0.05 s on finger 1, at 0.1 s, with the loop open or closed."""
     scene = scene or cs.load_scene("D4")
     pushes = [push or Push("finger 1", 0.1, 0.15, [-3.64, -1.28, -1.07])]  # 4 N across
     given = {"contact_model": model, "pushes": pushes, **changes}
@@ -208,8 +208,8 @@ def test_fed_back_slip_of_a_pushed_finger_is_less_than_half_and_it_comes_back(mo
         assert np.linalg.norm(miss, axis=1).max() < 1e-4
 
 
-def test_restarts_under_a_push_are_no_kick():
-    """The plan jumps to where the finger is; as a velocity that would be 0.1 m/s and more."""
+def test_restarts_under_a_push_do_not_kick_the_finger():
+    """The plan jumps to where the finger is; tracking the jump as a motion would take > 0.1 m/s."""
     damped = 4.0 / StationConfig().velocity_gain  # m/s, which a push of 4 N comes to by itself
     often = pushed(slip_gain=0.0, restart_period=0.01)
     assert lengths(often, "slip")[often.t >= 0.05].max() < damped
@@ -505,7 +505,7 @@ def test_a_finger_on_something_else_does_not_touch_the_object():
 
 
 def own_parts(step=1e-3, off=0.0, finalized=True, more=None, sampled=True, builder=None, **changes):
-    """Of two bodies by hand, and what ``more`` adds, changed."""
+    """A ScenePlant of two bodies made by hand, with ``more`` added, and with changes."""
     scene, builder = cs.load_scene("C2"), builder or DiagramBuilder()
     wanted = MultibodyPlantConfig(time_step=step, use_sampled_output_ports=sampled)
     plant, scene_graph = AddMultibodyPlant(wanted, builder)

@@ -99,7 +99,7 @@ HEAVY = ("casadi", "scipy", "matplotlib", "pydrake", "fmpy", "drake_plant", "fmu
 
 
 def loaded(code: str) -> list[str]:
-    """Which of HEAVY a new process has loaded after some code; its own words come first."""
+    """Runs code in a new process: what it prints, then those of HEAVY that it has loaded."""
     told = f"import sys\nprint([name for name in {HEAVY} if name in sys.modules])"
     command = [sys.executable, "-c", textwrap.dedent(code) + told]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)

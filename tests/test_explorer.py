@@ -65,7 +65,7 @@ def _picture(page):
 
 
 def _is_body(picture):
-    """Where it is grey and not white."""
+    """Where a picture is grey and not white."""
     grey = np.ptp(picture, axis=2) < 0.12
     return grey & (picture.max(axis=2) < 0.85) & (picture.min(axis=2) > 0.3)
 

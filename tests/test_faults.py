@@ -1,4 +1,4 @@
-"""What is promised about files: whole or untouched, whatever happens while they are written."""
+"""Files are complete or untouched, whatever happens while they are written."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SAVES = {
 
 @contextlib.contextmanager
 def disk_with(size: int):
-    """No file may be longer than so many bytes."""
+    """A context in which files cannot grow beyond so many bytes."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
@@ -120,7 +120,7 @@ if __name__ == "__main__":
 
 @pytest.fixture
 def begun(tmp_path):
-    """Begins that sweep in a folder: folder, number of its first scene, method -> process."""
+    """Starts the sweep in a folder: folder, number of its first scene, method -> process."""
     script, root = tmp_path / "sweep.py", str(Path(__file__).parents[1])
     script.write_text(SWEEP)
     paths = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
@@ -168,13 +168,13 @@ def test_a_killed_sweep_takes_its_workers_with_it_and_goes_on_where_it_stopped(
     assert all(file.stat().st_mtime_ns == when for file, when in kept.items())
 
 
-def test_sweeps_at_work_in_one_folder_leave_each_other_alone(begun, tmp_path):
+def test_sweeps_at_the_same_time_in_one_folder_do_not_disturb_each_other(begun, tmp_path):
     found = [digest(each) for each in [begun("shared", first) for first in (0, 1000, 0)]]
     assert found == [digest(begun(f"alone {first}", first)) for first in (0, 1000, 0)]
     assert len(list((tmp_path / "shared").glob("*.npz"))) == 60
 
 
-def test_a_table_that_is_whole_but_another_one_is_made_again(tmp_path):
+def test_a_table_of_other_scenes_or_numbers_is_made_again(tmp_path):
     scenes = [PLAN.scene.replace(duration=duration) for duration in (1.0, 2.0)]
     first = cs.sweep(scenes, folder=tmp_path, chunk=1).table
     one, two = sorted(tmp_path.iterdir())

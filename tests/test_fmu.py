@@ -1,4 +1,4 @@
-"""Exported FMUs and slaves in this process: their motion, inputs, states and events are plans'."""
+"""Exported FMUs, and slaves in this process: motion, inputs, states and events are as in plans."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ SCENES |= {
 
 
 def assert_follows(one: Instance, plan: cs.Plan, bar: float = 1e-12) -> None:
-    """All results are those of the plan where the instance stands."""
+    """All results are those of the plan at the instance's time."""
     t = min(one.time, plan.end)
     close(one.states(), plan.states(t)[0], bar)
     for i in range(len(one.scene.contacts)):
@@ -169,7 +169,7 @@ def test_a_later_start_time_starts_there(kind, version):
 
 
 def pushed(one: Instance, *windows: cs.scene.Disturbance) -> None:
-    """Set all inputs to the sum of what is given."""
+    """Set each input to the sum of its given values."""
     given = {v.name: 0.0 for v in one.table.rows if v.causality == "input"}
     for d in windows:
         side, _, kind = d.kind.partition(" ")
@@ -273,7 +273,7 @@ def test_inputs_and_measured_states_act_on_contacts_with_legs(kind, version):
 @of_blocks
 @pytest.mark.parametrize("name", ["K1", "K2", "K3", "K4"])
 @pytest.mark.parametrize("what", ["states", "pose"])
-def test_what_is_measured_is_gone_on_from_by_the_next_step(name, what, kind, version):
+def test_the_next_step_goes_on_from_measured_values(name, what, kind, version):
     scene = cs.load_scene(name)
     random, plan = np.random.default_rng(7), cs.plan(scene, 1e-14)
     table = variable_table(scene, measured=what)

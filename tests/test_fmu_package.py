@@ -233,7 +233,7 @@ def test_the_file_of_any_name_can_be_written_on_any_system(monkeypatch, tmp_path
     assert (tmp_path / f"{'é' * 50}.fmu").exists()
 
 
-def test_what_cannot_be_written_to_is_told(tmp_path, monkeypatch):
+def test_a_path_that_cannot_be_written_to_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
     for words, said in (
@@ -251,7 +251,7 @@ def test_what_cannot_be_written_to_is_told(tmp_path, monkeypatch):
         command("K9")
 
 
-def test_a_file_is_replaced_by_what_is_valid_alone(tmp_path, monkeypatch):
+def test_a_file_is_replaced_only_by_a_valid_one(tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1")
     path = tmp_path / "one.fmu"
     path.write_bytes(b"old")

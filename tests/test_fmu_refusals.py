@@ -160,7 +160,7 @@ def test_calls_out_of_order_are_refused(kind, version):
     assert one.get("contact[1].object.u") == pytest.approx(K1.contacts[0].object_at[0], rel=1e-15)
 
 
-def test_functions_that_there_are_not_are_refused_in_words():
+def test_missing_functions_are_refused_in_words():
     two, three = (Instance(K1, "slave", version).begin() for version in ("2.0", "3.0"))
     two.refused("fmi2SetInteger: there are no variables of", two.own.setInteger, [1], [1])
     three.refused("fmi3GetInt32: there are no variables of", three.own.getInt32, [1])

@@ -24,7 +24,7 @@ LEFT, RIGHT = one_contact(), one_contact("ellipsoid", object_velocity="rolling")
 
 
 def test_a_planner_is_pushed_by_another_models_output(tmp_path):
-    """fmpy passes on what was said a step before."""
+    """fmpy passes on the outputs of the previous step."""
     other = export_fmu(LEFT, tmp_path / "other.fmu")
     wires = [(f"wind.{SLIP}", f"hand.{PUSH}"), (f"hand.{SLIP}", "slip")]
     assert read_ssd(str(export_ssp({"alone": LEFT}, tmp_path / "alone.ssp")))
@@ -80,7 +80,7 @@ def test_a_connector_of_an_enumeration_is_valid(tmp_path):
         *(({"a": x}, "models: 'a' = .*neither a Scene nor an FMU") for x in ("K1", 3)),
     ],
 )
-def test_what_are_no_models_by_name_is_refused(models, words, tmp_path):
+def test_models_must_be_a_dict_of_scenes_and_fmus(models, words, tmp_path):
     with pytest.raises(cs.ContactSystemError, match=words):
         export_ssp(models, tmp_path / "none.ssp")
 
@@ -96,7 +96,7 @@ def test_what_are_no_models_by_name_is_refused(models, words, tmp_path):
         *((wires, "^connections.* give pairs") for wires in (["in"], [5], [(1, 2)], 5)),
     ],
 )
-def test_connections_that_cannot_be_are_refused(wires, words, tmp_path):
+def test_wrong_connections_are_refused(wires, words, tmp_path):
     with pytest.raises(cs.ContactSystemError, match=words):
         export_ssp({"a": LEFT}, tmp_path / "none.ssp", wires)
     assert not (tmp_path / "none.ssp").exists()

@@ -183,7 +183,7 @@ def test_lines_over_the_rim_of_a_disc():
     assert line.length == pytest.approx(shortest, abs=1e-3)
 
 
-def test_shapes():
+def test_arrays_of_pairs_give_arrays_of_results():
     a, b = np.array([[[1.0, 0.2]], [[0.5, 0.3]]]), np.array([(2.0, 1.0), (1.5, 0.9), (2.5, 0.1)])
     lines = cs.geodesic(ELLIPSOID, a, b)
     assert lines.length.shape == lines.direction.shape == lines.m12.shape == (2, 3)
@@ -211,7 +211,7 @@ SHEETS = cs.Quadric(np.diag([1.0, -1.0, -1.0]))
         (BALL, (0.0, 0.0), (1.0, 0.0), "no contact frame at a or b"),
     ],
 )
-def test_refusals(surface, a, b, says):
+def test_wrong_arguments_of_geodesic_are_refused(surface, a, b, says):
     with pytest.raises(cs.SurfaceError, match=says):
         cs.geodesic(surface, a, b)
 
@@ -223,7 +223,7 @@ def test_a_line_over_the_rim_of_a_thin_disk_is_as_long_as_back():
     assert there == pytest.approx(back, rel=1e-9) and there < 0.14
 
 
-def test_refusals_of_what_else_is_asked():
+def test_wrong_arguments_of_geodesics_and_points_are_refused():
     with pytest.raises(cs.SurfaceError, match="most = 0"):
         cs.geodesics(ELLIPSOID, (1, 1), (2, 1), 0)
     with pytest.raises(cs.SurfaceError, match="the same point"):

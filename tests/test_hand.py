@@ -1,4 +1,4 @@
-"""Hands that hold and turn objects: plans that keep their word, refusals, short simulations."""
+"""Hands that hold and turn objects: plans, refusals, and short simulations."""
 
 import dataclasses
 import math

@@ -1,4 +1,4 @@
-"""Paths with corners: what turns there, what goes on, and what is refused."""
+"""Paths with corners: what turns there, what is continuous, and what is refused."""
 
 from __future__ import annotations
 

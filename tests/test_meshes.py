@@ -1,4 +1,4 @@
-"""Meshes for hydroelastic contact: right on average, conforming, even in the gap they open."""
+"""Meshes for hydroelastic contact: right on average, conforming, with equal gaps along edges."""
 
 import math
 
@@ -61,7 +61,7 @@ def edge_count(triangles):
 
 
 def hydroelastic(shape):
-    """What Drake makes of a soft shape: its VolumeMesh."""
+    """The VolumeMesh that Drake makes of a compliant shape."""
     graph = SceneGraph()
     source: SourceId = graph.RegisterSource("test")
     instance = GeometryInstance(RigidTransform(), shape, "shape")

@@ -21,7 +21,7 @@ TIMES = np.linspace(0.0, 1.0, 301)
 
 
 def alone(obj: cs.Surface, at=(0.7, 0.4), profile=(0.1,), duration=1.0, **contact) -> cs.Scene:
-    """A contact that rolls, unless more is said."""
+    """A scene of one contact, which rolls by default."""
     common = {k: contact.pop(k) for k in ("gain", "disturbances") if k in contact}
     contacts = [cs.Contact(**{"finger": FINGER, "object_at": at} | contact)]
     path = cs.Profile(profile)

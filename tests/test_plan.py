@@ -1,4 +1,4 @@
-"""A plan as an object: what may be asked, of many contacts, and what it says."""
+"""A plan as an object: its arguments, its results for many contacts, and `explain`."""
 
 from __future__ import annotations
 

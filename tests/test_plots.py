@@ -1,4 +1,4 @@
-"""Pictures: what they show is checked as numbers, that they come out is checked as files."""
+"""Pictures: the numbers that they show, and that files are written."""
 
 from __future__ import annotations
 

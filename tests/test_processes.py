@@ -155,7 +155,7 @@ def ended(program: str, *arguments: str, interrupt: float | None = None) -> tupl
 
 @functools.cache
 def alone(what: str) -> tuple[str, str]:
-    """How a program ends that prints this and is not disturbed."""
+    """The end of a program that prints this and is not interrupted."""
     return ended(f"print({what})")
 
 

@@ -18,7 +18,7 @@ GAINS = [Gain.path(100), Gain.time(30), Gain.guaranteed(5)]
 
 
 def contraction(profile: Profile, gain: Gain, duration: float) -> cs.Contraction:
-    """What a scene with this profile and gain says."""
+    """The contraction of a scene with this profile and gain."""
     contact = cs.Contact(finger=cs.Sphere(0.04), object_at=(0.0, 0.0))
     motion = {"profile": profile, "gain": gain, "duration": duration}
     return cs.Scene(object=cs.Plane(), contacts=[contact], **motion).contraction()

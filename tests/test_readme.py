@@ -24,7 +24,7 @@ def blocks(language: str, page: Path = README) -> list[str]:
 
 
 def run(example: str, folder: Path | None = None) -> str:
-    """What an example prints."""
+    """Run an example; returns what it prints."""
     command = [sys.executable, "-c", example]
     paths = [str(README.parent), os.environ.get("PYTHONPATH", "")]
     done = subprocess.run(
@@ -80,7 +80,7 @@ JOURNEYS = {  # the README's commands, by the packages that they need and what t
 
 
 @pytest.mark.parametrize("journey", JOURNEYS)
-def test_whoever_has_read_the_readme_only_arrives(journey, tmp_path):
+def test_the_commands_of_the_readme_write_their_results(journey, tmp_path):
     needed, left = JOURNEYS[journey]
     pytest.importorskip(needed)
     mine, surface = blocks("toml")

@@ -85,7 +85,7 @@ BALL, EGG, DRIFT = Sphere(0.1), Ellipsoid(0.3, 0.2, 0.1), ObjectRateOffset
 
 
 def pushed(*window):
-    """The same acceleration of each of three fingers."""
+    """Equal accelerations of three fingers."""
     return [FingerAcceleration(i, *window) for i in range(3)]
 
 
@@ -387,7 +387,7 @@ def test_an_unknown_scene_is_refused_with_the_nearest_name():
 
 
 @pytest.mark.parametrize("wrong", [None, 4, ["K4"]])
-def test_what_is_no_name_of_a_scene_is_said(wrong):
+def test_what_is_no_name_of_a_scene_is_refused(wrong):
     with pytest.raises(SceneError, match="scene = .*: give a name or a path"):
         load_scene(wrong)
     with pytest.raises(SceneError, match="cannot be read: .*embedded null"):
@@ -471,7 +471,7 @@ def test_a_contact_where_a_formula_gives_no_point_is_refused():
 
 
 class Ball(Sphere):
-    """Somebody's own."""
+    """A user's own class of surface."""
 
 
 def test_a_surface_that_a_file_cannot_hold_is_named():

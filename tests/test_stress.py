@@ -1,4 +1,4 @@
-"""Random search for scenes that fail, by the benchmark's own maker of cases and its laws.
+"""Random search for scenes that fail, with the scenes and laws of the stress benchmark.
 
 `benchmarks.stress_scenes` draws scenes, `stress_laws` judges plans by exact laws; here hypothesis
 makes the choices, so that a failure is shrunk. Failures that the search has found stand in
@@ -96,7 +96,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("what", WRONG)
-def test_judge_notices(what):
+def test_the_judge_notices_wrong_plans(what):
     output, change = WRONG[what]
     drawn = trial()
     plan = cs.plan(drawn.scene)

@@ -1,4 +1,4 @@
-"""Sweeps against plans of their scenes one by one, whatever happens to workers on the way."""
+"""Sweeps give the same as single plans of their scenes, whatever happens to their workers."""
 
 from __future__ import annotations
 
@@ -148,13 +148,13 @@ def test_outputs_that_no_file_holds_are_refused_by_name(outputs, said):
 
 
 def own(scene: cs.Scene) -> dict[str, np.ndarray]:
-    """What needs no plan."""
+    """An `evaluate` for each=True, which needs no plan."""
     if scene.name == "K1":
         raise ValueError("not this one")
     return {"angle": np.array([contact.angle for contact in scene.contacts])}
 
 
-def test_scenes_are_taken_by_themselves_where_that_is_asked_for(tmp_path):
+def test_scenes_are_evaluated_one_by_one_if_each_is_set(tmp_path):
     scenes = [rolling_towards(0, angle=0.5), "K1", rolling_towards(1), "D1"]
     for _ in range(2):
         found = cs.sweep(scenes, own, each=True, folder=tmp_path)

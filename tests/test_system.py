@@ -30,7 +30,7 @@ BETWEEN = cs.ObjectRateOffset(0, 0.4, 0.6, (0.4, -0.3))  # corners at 0.3, 0.7 a
 
 
 def integrate(system, t, begin=0.0, x=None, held=None):
-    """States at ascending times, from edge to edge; each with what then acts."""
+    """(t, x, w, held) at ascending times, integrated from edge to edge."""
     x = system.x0 if x is None else x
     held = system.held0 if held is None else held
     function, found = system.function("derivatives"), []

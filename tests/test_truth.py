@@ -1,4 +1,4 @@
-"""Balls in simulators do what others know of them; the exact side of the truth bench is exact."""
+"""Balls in Drake move as the literature says; exact motions of the truth bench are exact."""
 
 from __future__ import annotations
 

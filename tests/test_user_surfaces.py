@@ -155,7 +155,7 @@ def test_point_off_a_parametric_surface_is_an_error_not_an_answer():
 
 
 def value(text: str, **numbers: float) -> float:
-    """What a text means as the height of a surface over a plane."""
+    """The value of a text, used as the height of a surface over a plane."""
     return float(ParametricSurface(("u", "v", text), parameters=numbers).point(0.3, 0.4)[2])
 
 

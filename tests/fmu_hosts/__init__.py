@@ -1,4 +1,4 @@
-"""What runs FMUs besides fmpy: programs in C, other importers; and a scene that asks for a lot."""
+"""Programs in C and importers, besides fmpy, that run FMUs; and a scene that has everything."""
 
 import contact_system as cs
 

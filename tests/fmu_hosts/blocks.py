@@ -1,4 +1,4 @@
-"""The exported FMU and the slave in this process behind names: what one does the other does."""
+"""One interface, by names of variables, to an exported FMU and to a slave in this process."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _folder() -> tempfile.TemporaryDirectory:
 
 @functools.cache
 def exported(scene: cs.Scene, version: str, **options: Any) -> Fmu:
-    """The scene's FMU, made once."""
+    """The scene's FMU, exported once in a process."""
     folder = Path(tempfile.mkdtemp(dir=_folder().name))
     return Fmu.unpacked(export_fmu(scene, folder / "x.fmu", version, **options), folder / "x")
 
@@ -65,7 +65,7 @@ class Instance:
             self.own = slave(scene, logger=lambda *line: self.said.append(line), **options)
 
     def begin(self, time: float = 0.0, stop: float | None = None, **start: Any) -> Instance:
-        """Set what is given by name, initialize, and enter step mode where there is one."""
+        """Set values by name, initialize, and enter step mode if there is one."""
         self.put(start.get("start", {}))
         self.time = time
         if self.version == "2.0":
@@ -161,7 +161,7 @@ class Instance:
 
 
 def simulated(scene: cs.Scene, kind: str, version: str, **given: Any) -> np.ndarray:
-    """What `fmpy.simulate_fmu` gives, all outputs and states."""
+    """The result of `fmpy.simulate_fmu`, with all outputs and states."""
     scalars = variable_table(scene).rows
     names = [v.name for v in scalars if v.causality in ("output", "local")]
     given = {"output": names, "relative_tolerance": 1e-10} | given
@@ -181,6 +181,6 @@ def simulated_states(result: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 def close(found: Any, expected: Any, bar: float = 1e-12) -> None:
-    """Within a fraction of the size of what is expected."""
+    """Approximately equal, within a fraction of the expected values' size."""
     size = max(1.0, np.abs(expected).max())
     np.testing.assert_allclose(found, expected, rtol=0, atol=bar * size)

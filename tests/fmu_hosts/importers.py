@@ -1,7 +1,7 @@
-"""Importers of FMUs: each steps a file, or integrates it, and says what its variables were.
+"""Importers of FMUs: functions that step or integrate an FMU and return values of its variables.
 
-A function takes an unpacked FMU, names of variables, a step and how many, and gives the values at
-the points 1 to count, (count, n_names). A tool that is missing raises `Unavailable`.
+A function takes an unpacked FMU, names of variables, a step and a number of steps, and returns the
+values after each step, (count, n_names). It raises `Unavailable` if its tool is missing.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def _by_fmpy(file: Path, names: Names, step: float, count: int, **options: Any) 
 def off_plan(
     run: Callable[..., np.ndarray], fmu: Fmu, scene: cs.Scene, count: int, step: float = STEP
 ) -> float:
-    """Greatest difference of points and slip from the plan's, of their size."""
+    """Greatest difference of points and slip from the plan's, over their greatest values."""
     contacts, plan = range(len(scene.contacts)), cs.plan(scene, 1e-14)
     t, worst = np.minimum(step * np.arange(1, count + 1), scene.duration), 0.0
     wanted = {"slip": plan.slip(t)}

@@ -43,7 +43,7 @@ SYSROOT = Path("/usr/aarch64-linux-gnu")  # of Debian's libc6-arm64-cross
 
 @functools.cache
 def find_compiler() -> tuple[str, ...] | None:
-    """The command of this machine's C compiler, as words; else ziglang's; None without one."""
+    """The command of this machine's C compiler, else of ziglang, as a list; None without both."""
     for command in (os.environ.get("CC", "").split(), ["cc"], ["gcc"], ["clang"]):
         if command and shutil.which(command[0]):
             return tuple(command)
@@ -53,7 +53,7 @@ def find_compiler() -> tuple[str, ...] | None:
 
 
 class Unavailable(Exception):
-    """A tool that is not on this machine; says which."""
+    """Names a tool that is not on this machine."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def difference(variables: Sequence[ModelVariable], found: np.ndarray, wanted: np
 
 
 class Program:
-    """A compiled program and how this machine runs it.
+    """A compiled program, and the command by which this machine runs it.
 
     Raises
     ------
@@ -200,7 +200,7 @@ class Program:
         assert run.returncode == 0, f"{' '.join(command)}\n{run.stderr}"
 
     def run(self, *arguments: object, timeout: float = 600.0) -> str:
-        """What the program prints; AssertionError with its complaint where it fails."""
+        """The output of the program; AssertionError with its error output if it fails."""
         command = [*self._runner, str(self._file), *map(str, arguments)]
         environment = os.environ | self._environment | {"FMU_FOLDER": str(self.fmu.folder)}
         run = subprocess.run(
@@ -210,7 +210,7 @@ class Program:
         return run.stdout
 
     def table(self, *arguments: object) -> np.ndarray:
-        """The numbers that the program prints, a row a line."""
+        """The numbers that the program prints, a row for each line."""
         return np.array([line.split() for line in self.run(*arguments).splitlines()], dtype=float)
 
 

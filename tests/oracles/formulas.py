@@ -1,4 +1,4 @@
-"""What tests, references and benches share: closed forms by mpmath, geodesics, slip of states.
+"""Shared by tests, references and benchmarks: closed forms by mpmath, geodesics, slip of states.
 
 SI units and radians; mpmath works to its own precision.
 """
@@ -34,7 +34,7 @@ def great_circle(radius: Any, at: Any, w: Any, s: Any) -> list[Any]:
 
 
 def helix(radius: Any, at: Any, w: Any, s: Any) -> list[Any]:
-    """The same on the cylinder (r cos u, r sin u, v)."""
+    """Point of the cylinder (r cos u, r sin u, v) at path s; arguments as in `great_circle`."""
     r = mp.mpf(radius)
     u = mp.mpf(at[0]) + mp.mpf(w[0]) * mp.mpf(s) / r
     return [r * mp.cos(u), r * mp.sin(u), mp.mpf(at[1]) + mp.mpf(w[1]) * mp.mpf(s)]
