@@ -212,9 +212,9 @@ def _pushed(size: float, time: float, across: bool, model: str, closed: bool) ->
     pushes = [Push(name, PUSHED, stop, force.tolist())]
     config = StationConfig.from_scene(scene, contact_model=model, pushes=pushes)
     result = simulate(scene, config if closed else config.opened(), duration=stop + AFTER)
-    (told,), used = push_table(result), result.measured["friction_used"][result.t > PUSHED, finger]
+    (push,), used = push_table(result), result.measured["friction_used"][result.t > PUSHED, finger]
     slides = bool(np.nanmax(used) >= SATURATED)
-    return {"slip": told.slip, "slides": slides, "off": told.off, "distance": told.left}
+    return {"slip": push.slip, "slides": slides, "off": push.off, "distance": push.left}
 
 
 def feedback(full: bool) -> Iterator[Bar]:

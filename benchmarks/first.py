@@ -22,11 +22,11 @@ begin = time.perf_counter()
 plan = cs.plan(scene)
 planned = time.perf_counter()
 plan.points(t)
-asked = time.perf_counter()
+located = time.perf_counter()
 plan.evaluate(t, "states", "slip", "pose", "twist")
 everything = time.perf_counter()
-told = {"plan": planned - begin, "points": asked - begin, "all": everything - begin}
-print(json.dumps({**told, "modules": list(sys.modules)}))
+times = {"plan": planned - begin, "points": located - begin, "all": everything - begin}
+print(json.dumps({**times, "modules": list(sys.modules)}))
 """
 
 IMPORT = """

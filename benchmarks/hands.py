@@ -41,18 +41,18 @@ def scenes(full: bool) -> Iterator[Bar]:
     """Where the object ends, or how far it drifts, friction, slip, limits."""
     for name, models in MODELS.items():
         for model in models:
-            told, what = _report(name, model), f"{name} {model}: "
+            report, what = _report(name, model), f"{name} {model}: "
             part = slice(None) if name == "H1" else slice(-1, None)  # H1's drift, else the end
-            yield Bar(what + "off", 1.0, 1e3 * told.off[part].max(), "mm")
-            angle = math.degrees(told.turned_off[part].max())
+            yield Bar(what + "off", 1.0, 1e3 * report.off[part].max(), "mm")
+            angle = math.degrees(report.turned_off[part].max())
             yield Bar(what + "angle off", 1.0, angle, "degrees")
-            yield Bar(what + "off the object", 0.0, told.lost.max(), "s")
-            yield Bar(what + "friction used, planned", 0.9, told.cones_planned.max())
-            yield Bar(what + "friction used, outside pushes", 0.9, told.cones.max())
+            yield Bar(what + "off the object", 0.0, report.lost.max(), "s")
+            yield Bar(what + "friction used, planned", 0.9, report.cones_planned.max())
+            yield Bar(what + "friction used, outside pushes", 0.9, report.cones.max())
             limit = 0.5 if name in ("H2", "H5") else None
-            yield Bar(what + "slip summed, worst finger", limit, 1e3 * told.slipped.max(), "mm")
-            yield Bar(what + "torque over its limit", 1.0, told.torque_share.max())
-            room = math.degrees(told.room.min())
+            yield Bar(what + "slip summed, worst finger", limit, 1e3 * report.slipped.max(), "mm")
+            yield Bar(what + "torque over its limit", 1.0, report.torque_share.max())
+            room = math.degrees(report.room.min())
             yield Bar(what + "joint nearest to its limit", 0.0, room, "degrees", least=True)
 
 
@@ -89,13 +89,13 @@ def random(full: bool) -> Iterator[Bar]:
     tried = plans if full else plans[::10]
     done = []
     for plan in tried:
-        told = hand_report(simulate_hand(plan))
+        report = hand_report(simulate_hand(plan))
         done.append(
-            1e3 * told.off[-1] <= 1
-            and math.degrees(told.turned_off[-1]) <= 1
-            and told.cones.max() <= 0.9
-            and told.slipped.max() <= 5e-4
-            and not told.lost.any()
+            1e3 * report.off[-1] <= 1
+            and math.degrees(report.turned_off[-1]) <= 1
+            and report.cones.max() <= 0.9
+            and report.slipped.max() <= 5e-4
+            and not report.lost.any()
         )
     share, note = float(np.mean(done)), f"{len(tried)} simulated"
     yield Bar("of these, done within the bars of H2", 0.95, share, least=True, note=note)

@@ -328,8 +328,8 @@ class Judge:
         self.meter.see("normals oppose", n1 + n2, sum(loss)[:, None])
         flip = np.zeros((len(sample.t), 3, 3))
         flip[:, :2, :2], flip[:, 2, 2] = sample.turn, -1.0
-        told = sample.frame[1] @ flip @ sample.frame[0].transpose(0, 2, 1)
-        self.meter.see("pose against psi", rotation - told, 4 * sum(loss)[:, None, None])
+        expected = sample.frame[1] @ flip @ sample.frame[0].transpose(0, 2, 1)
+        self.meter.see("pose against psi", rotation - expected, 4 * sum(loss)[:, None, None])
         self._twist(sample, twist, pose, n2, loss)
 
     def _twist(self, sample: Sample, twist: Array, pose: Array, n2: Array, loss: list) -> None:

@@ -115,9 +115,9 @@ def _xml(setup: Setup, method: Method, step: float) -> str:
         table = f'<body>{still}<joint type="hinge" axis="0 0 1"/><geom {shape}/></body>'
     reference = 0.02 if method.stiff is None else method.stiff * step
     options = {"timestep": step, "gravity": " ".join(map(str, setup.gravity))} | method.options
-    said = " ".join(f'{key}="{value}"' for key, value in options.items())
+    attributes = " ".join(f'{key}="{value}"' for key, value in options.items())
     inertia = " ".join([str(INERTIA)] * 3)
-    return f"""<mujoco><option {said}/>
+    return f"""<mujoco><option {attributes}/>
       <default><geom solref="{reference} 1" friction="{setup.friction} 0 0" condim="3"/></default>
       <worldbody>{table}
         <body><freejoint/><inertial pos="0 0 0" mass="{MASS}" diaginertia="{inertia}"/>

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         # pushes are compared with those of the open loop, in a table that hands do not have
         if config.pushes and config.closed_loop and config.hand is None:
             opened = simulate(scene, config.opened(), duration, progress=advance)
-    tell(*_told(result, opened))
+    tell(*_printed(result, opened))
     tell(*written(stem, result.save, partial(plot, result, opened=opened)))
     if recording is not None:
         tell(f"wrote {recording}")
@@ -82,10 +82,10 @@ def _setting(text: str) -> tuple[str, Any]:
     return name, value.strip()
 
 
-# --- telling -----------------------------------------------------------------------------------
+# --- what is printed ---------------------------------------------------------------------------
 
 
-def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable[str]:
+def _printed(result: SimulationResult, opened: SimulationResult | None) -> Iterable[str]:
     from .measures import EDGE, SATURATED, contact_table
     from .simulation import HandResult
 
@@ -213,27 +213,27 @@ def _cell(form: str, value: Any) -> str:
 def _hand(result: HandResult) -> Iterable[str]:
     from .measures import angles_between, durations, hand_report
 
-    told, plan, scene = hand_report(result), result.plan, result.scene
+    report, plan, scene = hand_report(result), result.plan, result.scene
     force = np.average(result.measured["normal_force"], axis=0, weights=durations(result))
     spin = np.abs(np.trapezoid(plan.spin, plan.t, axis=0))
     yield from _table(
         ("finger", "", [scene.contact_name(i) for i in range(len(force))], "s"),
         ("normal force", "N", force, ".3f"),
-        ("cone planned", "", told.cones_planned, ".1%"),
-        ("cone measured", "", told.cones, ".1%"),
-        ("slip", "mm", 1e3 * told.slipped, ".3f"),
-        ("off object", "s", told.lost, ".3f"),
+        ("cone planned", "", report.cones_planned, ".1%"),
+        ("cone measured", "", report.cones, ".1%"),
+        ("slip", "mm", 1e3 * report.slipped, ".3f"),
+        ("off object", "s", report.lost, ".3f"),
         ("spin", "degrees", np.degrees(spin), ".1f"),
     )
     goal = math.degrees(angles_between(*plan.object_pose[[0, -1]]))
     yield paragraph(
         f"The object is to turn by {goal:.3g} degrees. At the end it is "
-        f"{1e3 * told.off[-1]:.3g} mm and {math.degrees(told.turned_off[-1]):.3g} degrees from "
+        f"{1e3 * report.off[-1]:.3g} mm and {math.degrees(report.turned_off[-1]):.3g} degrees from "
         "where it is to be then; on the way it was off its path by "
-        f"{1e3 * told.off.max():.3g} mm and "
-        f"{math.degrees(told.turned_off.max()):.3g} degrees at most."
+        f"{1e3 * report.off.max():.3g} mm and "
+        f"{math.degrees(report.turned_off.max()):.3g} degrees at most."
     )
-    yield paragraph(_of_joints(plan.chains, told))
+    yield paragraph(_of_joints(plan.chains, report))
     yield ""
     yield from _explained(
         "Cone: part of the friction cone that is used, measured outside pushes and 0.1 s after. "
@@ -242,14 +242,14 @@ def _hand(result: HandResult) -> Iterable[str]:
     )
 
 
-def _of_joints(chains: Chains, told: HandReport) -> str:
-    k, j = int(np.argmax(told.torque_share)), int(np.argmin(told.room / chains.unit))
-    torques = f"{told.torque_share[k]:.0%} of the limit at most, at {chains.names[k]}"
+def _of_joints(chains: Chains, report: HandReport) -> str:
+    k, j = int(np.argmax(report.torque_share)), int(np.argmin(report.room / chains.unit))
+    torques = f"{report.torque_share[k]:.0%} of the limit at most, at {chains.names[k]}"
     if not np.isfinite(chains.effort).any():
         torques = "without limits, as the model has no actuators"
-    near = f"{math.degrees(told.room[j]):.3g} degrees"
+    near = f"{math.degrees(report.room[j]):.3g} degrees"
     if chains.slides[j]:
-        near = f"{1e3 * told.room[j]:.3g} mm"
+        near = f"{1e3 * report.room[j]:.3g} mm"
     return f"Torques: {torques}. Joints: {chains.names[j]} comes to {near} from a limit."
 
 

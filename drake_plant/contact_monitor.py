@@ -194,7 +194,7 @@ class ContactMonitor(LeafSystem):
         output.SetFromVector(rows.ravel())
 
     def _Sliding(self, measured: Array, states: Array) -> Array:
-        """v_rel in O of what slides, (n, 3), 0 of what does not."""
+        """v_rel in O of contacts that slide, 0 of others, (n, 3), m/s."""
         normal = measured[:, COLUMNS["normal_force"]][:, 0]
         friction = np.hypot(*measured[:, COLUMNS["tangential_force"]].T)
         found, scene = np.zeros((len(measured), 3)), self._scene

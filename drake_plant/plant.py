@@ -79,10 +79,10 @@ from .meshes import SurfaceMesh, contact_mesh, domain_of
 from .planner_base import FOREVER
 from .pressing import Touch, check_depth, contact_depth, touches_of
 
-# Edges of meshes are so long that from one end to the other a gap of so many contact depths opens.
-# The distance of facets from the surface ripples with the period of the mesh, and a patch of radius
-# a averages it with the weight J1(q a)/(q a), q = 4 pi/(sqrt(3) h) for edges h. It vanishes at the
-# first zero of J1, h = 1.89 a, and at the second, h = 1.03 a. Spheres of 0.04 and 0.1 m, 0.2 mm:
+# Edges h are so long that along one a gap of so many contact depths opens. The distance of facets
+# from the surface ripples with the period of the mesh, and a patch of radius a averages the ripple
+# with the weight J1(q a)/(q a), q = 4 pi/(sqrt(3) h). The finger's edges are near the second zero
+# of J1, h = 1.03 a, the object's near the first, h = 1.89 a. Spheres of 0.04 and 0.1 m, 0.2 mm:
 #   finger, object   spread of the force, 400 orientations   faces in the patch
 #   1.04    1.04     0.3 %                                   58
 #   1.04    2.8      1.0 %                                   39

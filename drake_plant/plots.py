@@ -121,8 +121,8 @@ def _draw_distance(ax: Any, result: SimulationResult, closed: bool = True) -> No
 
 
 def _draw_errors(ax: Any, result: HandResult) -> None:
-    told = hand_report(result)
-    for values, style in ((1e3 * told.off, "-"), (np.degrees(told.turned_off), ":")):
+    report = hand_report(result)
+    for values, style in ((1e3 * report.off, "-"), (np.degrees(report.turned_off), ":")):
         ax.plot(result.t, values, color=INK, linewidth=1.2, linestyle=style)
     ax.set(
         title="Object off its path (dotted: angle, degrees)", ylabel="distance [mm]", ylim=(0, None)

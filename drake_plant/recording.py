@@ -183,7 +183,7 @@ def draw(meshcat: Meshcat, result: SimulationResult) -> None:
         recording.SetProperty(0, path, "visible", False)
         for _, start, stop in sorted(event for event in acting if event[0] == on):
             recording.SetProperty(recording.frame(start), path, "visible", True)
-            if stop < result.t[-1]:  # a film ends at its last property
+            if stop < result.t[-1]:  # a later property would lengthen the film
                 recording.SetProperty(recording.frame(stop), path, "visible", False)
     if result.config.hand is not None:  # a fixed camera: up stays up
         meshcat.SetCameraPose(HAND_VIEW, [0.0, 0.0, -0.6 * scene.object.size])

@@ -15,7 +15,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from drake_plant import BuildStation, ForceBalancer, ScenePlant, StationConfig, simulate
 from drake_plant.balance import balancing_forces, friction_used, needed_wrench
-from drake_plant.cli import _told
+from drake_plant.cli import _printed
 from drake_plant.measures import object_report
 
 WEIGHT = 0.2 * 9.81
@@ -112,7 +112,7 @@ def test_a_ball_is_held_where_gravity_is_on(model):
     assert (result.measured["normal_force"][1:] > 0).all()
     np.testing.assert_allclose(result.planned["friction_used"], 0.8, atol=0.01)
     assert result.measured["friction_used"][1:].max() < 0.85
-    told = " ".join("\n".join(_told(result, None)).split())
+    told = " ".join("\n".join(_printed(result, None)).split())
     assert "Its weight is carried by the fingers" in told
     assert "80% of the friction cones as planned" in told
 
@@ -159,7 +159,7 @@ def test_constant_forces_stay_as_they_are_and_let_the_object_fall_as_a_finger_do
     result = simulate(held(contact_model="point", forces="constant"), duration=0.1)
     assert object_report(result).falls
     assert (result.planned["normal_force"] == 1.0).all()
-    assert "nothing balances it" in " ".join(_told(result, None))
+    assert "nothing balances it" in " ".join(_printed(result, None))
     push = {"on": "contact 0", "start": 0.42, "stop": 1.0, "force": [20.0, 0.0, 0.0]}
     assert object_report(simulate(held(contact_model="point", pushes=[push]), duration=0.5)).falls
 

@@ -55,7 +55,7 @@ def simulated(name: str, **changes) -> SimulationResult:
 def told(name: str, **changes) -> tuple[list, str]:
     """A result's reports, and all the text that the command prints of it."""
     result = simulated(name, **changes)
-    return contact_table(result), " ".join(" ".join(cli._told(result, None)).split())
+    return contact_table(result), " ".join(" ".join(cli._printed(result, None)).split())
 
 
 # --- measures ------------------------------------------------------------------------------------
