@@ -280,9 +280,9 @@ class StationConfig:
         if self.object != "free" or not self.time_step:
             raise SceneError('hand: it needs object = "free" and a time_step above 0')
         if scene.disturbances:
-            raise SceneError("disturbances: a hand does not follow them; leave them out, or push")
+            raise SceneError("disturbances: a hand has none; leave them out, or give pushes")
         if self.forces == "constant":
-            raise SceneError('forces = "constant": with a hand they balance; leave it out')
+            raise SceneError('forces = "constant": forces of a hand always balance; leave it out')
 
     def _check_restarts(self) -> None:
         """Refuse restarts between two steps of a discrete plant: its state is that of the next step

@@ -157,9 +157,9 @@ def _force(body: int, F_Bq_W: Array, p_BoBq_B: Any = (0, 0, 0)) -> ExternallyApp
 def _refuse_beyond(scene: Scene, context: Context) -> None:
     if context.get_time() > scene.duration * (1 + ROUNDING):
         raise SceneError(
-            f"{scene.title}: t = {context.get_time():.6g} s: the plant's meshes reach as far as "
-            f"contacts go until the scene's end at {scene.duration:g} s; to simulate longer build "
-            "it of scene.replace(duration=...)"
+            f"{scene.title}: t = {context.get_time():.6g} s: the plant's meshes reach only as far "
+            f"as contacts go until the scene's end at {scene.duration:g} s; to simulate longer "
+            "build it from scene.replace(duration=...)"
         )
 
 

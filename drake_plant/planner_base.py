@@ -111,7 +111,7 @@ class PlannerBase(_System):
         value.set_value([Transform(Rotation(r[:9].reshape(3, 3).T), r[9:]) for r in rows])
 
     def _Restart(self, context: Any, state: Any) -> None:
-        raise TypeError("ContactPlanner restarts with T = float only; simulate that one")
+        raise TypeError("a ContactPlanner restarts with T = float only: simulate that one")
 
     def _Turn(self, edge: float, context: Any, state: Any) -> None:
         """At a corner contacts turn to their next legs; at a rest their slip is dropped."""

@@ -254,8 +254,8 @@ class ContactPlanner(_Convertible, LeafSystem):
         if as_at_0 and (in_state(t) != in_state(0.0)).any():
             raise SceneError(
                 f"{scene.title}: the simulation begins at t = {t:g} s with the state of t = 0 s: "
-                "set the time to 0, which SetDefaultContext leaves alone, or the state of its "
-                "start by SceneSystem.from_states, or give a PlanSource"
+                "set the time to 0 (SetDefaultContext leaves it as it was), or the state of that "
+                "time by SceneSystem.from_states, or use a PlanSource"
             )
         self._followed(context)[2:4] = t
         state = None if t == 0.0 and as_at_0 else self._Parts(context, "state")[0]

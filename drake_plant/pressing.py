@@ -138,7 +138,7 @@ def require_alike(planned: Scene, nominal: Scene, config: StationConfig, what: s
     ):
         raise SceneError(
             f"{what}, of {planned.title}, has other surfaces, sizes or contacts than the plant, of "
-            f"{nominal.title}: give it the plant's scene, or rolling_scene of that"
+            f"{nominal.title}: give it the plant's scene, or rolling_scene of it"
         )
 
 
