@@ -125,10 +125,10 @@ class FingertipDriver(LeafSystem):
         x["A_WO"][:] = given[o].get_coeffs() if self._discrete else self._A_WO(X[o], V[o], given)
         x["motion"][:] = self._motion.Eval(context).reshape(n, -1)
         for name, port in self._optional.items():
-            given = port.HasValue(context)
-            x[name][:] = port.Eval(context)[: x[name].size].reshape(n, -1) if given else 0.0
+            connected = port.HasValue(context)
+            x[name][:] = port.Eval(context)[: x[name].size].reshape(n, -1) if connected else 0.0
             if name == "contact_force":
-                x["normal_force"][:] = 0.0 if given else self.config.normal_force
+                x["normal_force"][:] = 0.0 if connected else self.config.normal_force
         law.run()
         forces = [_force(*each) for each in zip(self.finger_indices, law.results)]
         push = self._optional["push"]

@@ -230,7 +230,7 @@ def test_progress_is_drawn_on_a_terminal_only_and_only_when_it_takes_long(monkey
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows tells a reader's end in other ways")
-def test_a_reader_that_has_read_enough_is_no_error_and_stops_no_work(tmp_path):
+def test_a_closed_stdout_is_no_error_and_stops_no_work(tmp_path):
     reads, writes = os.pipe()
     os.close(reads)
     command = [sys.executable, "-um", *"contact_system run K1 --no-plots --out".split(), tmp_path]

@@ -150,7 +150,7 @@ def test_steps_too_long_for_a_scheme_are_refused_with_a_remedy(scene, coordinate
         run(planner, min(scene.duration, 2.5), scheme, step)
 
 
-def test_error_control_that_is_too_lenient_is_told_to_be_less_so():
+def test_error_control_that_is_too_lenient_is_refused_with_the_remedy():
     planner = ContactPlanner(cs.load_scene("D1"), restart_distance=0.01)
     found = simulator(planner, "runge_kutta3", 0.1, accuracy=1e-3)
     measured = cs.plan(planner.system.scene).states(0.0)[0]
@@ -259,7 +259,7 @@ def test_windows_act_from_their_edges_on_in_every_system_of_a_plan():
         assert np.allclose(slip, plan.slip(t)[0], atol=1e-12)
 
 
-def test_a_plan_source_wants_a_plan_and_stays_inside_it():
+def test_a_plan_source_refuses_other_plans_and_times_outside_its_own():
     scene = cs.load_scene("K1")
     with pytest.raises(cs.ContactSystemError, match="give a Plan, such as plan"):
         PlanSource(scene)

@@ -99,7 +99,7 @@ def test_a_value_that_is_no_scene_is_told_and_the_picture_stays(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["K4", "R1", "D2", "bowl", "chart", "implicit", "torus"])
-def test_what_can_be_turned_gives_a_scene_or_an_error_that_says_why(name):
+def test_every_slider_gives_a_scene_or_an_error_that_says_why(name):
     scene = cs.load_scene(name)
     for slider in sliders_of(scene):
         assert slider.low <= slider.value <= slider.high and slider.low < slider.high, slider.label

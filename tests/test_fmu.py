@@ -364,7 +364,7 @@ def test_start_values_make_another_scene(kind, version):
 
 
 @of_kinds
-def test_a_radius_that_is_set_takes_the_start_with_it(kind):
+def test_a_radius_that_is_set_moves_the_contacts_at_the_start(kind):
     long, longer = K1.replace(object=cs.Ellipsoid(0.2, 0.1, 0.1)), cs.Ellipsoid(0.25, 0.1, 0.1)
     cases = [*((K1, "radius", cs.Sphere(r)) for r in (0.12, 0.03)), (long, "a", longer)]
     for scene, name, body in cases:

@@ -96,7 +96,7 @@ def written(tmp_path):
     ("name", "version"),
     [("D1", "3.0"), ("H3", "2.0"), ("implicit", "3.0"), ("torus", "2.0"), ("chart", "3.0")],
 )
-def test_validation_has_nothing_to_say(name, version, written):
+def test_fmpys_validation_finds_no_problem(name, version, written):
     assert validate_fmu(str(written(name, version))) == []
 
 

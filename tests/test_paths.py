@@ -127,7 +127,7 @@ def test_states_keep_turns_and_the_tolerance_while_a_small_finger_turns_many_tim
     assert np.abs(found - expected)[..., [0, 1, 4, 5, 8]].max() < tolerance
 
 
-def test_paths_are_as_long_as_a_double_can_say():
+def test_path_lengths_are_exact_to_rounding():
     sigma = (0.001, 0.0, 0.375)
     found = cs.plan(on_a_plane(FINGER, (1.0, 0.0), (1.0, 0.0), sigma)).states(TIMES)[:, 0, 4]
     for t, length in zip(TIMES[1:].tolist(), found[1:].tolist()):

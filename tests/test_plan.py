@@ -56,7 +56,7 @@ def test_what_is_no_time_is_refused(t):
             getattr(plan, ask)(t)
 
 
-def test_times_may_be_of_any_kind_of_number_and_memory(tmp_path):
+def test_times_may_have_any_number_type_and_memory_layout(tmp_path):
     plan = cs.plan(one_contact(duration=2.0))
     expected = plan.states([1.0, 2.0])
     fixed, mapped = np.array([1.0, 2.0]), np.memmap(tmp_path / "times", float, "w+", shape=(2,))

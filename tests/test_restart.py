@@ -69,7 +69,7 @@ def test_restart_from_principal_values_beyond_the_seam_is_pushed_the_same_way(fi
         assert again.points(t) == pytest.approx(plan.points(t), abs=1e-13)
 
 
-def test_restart_has_no_past():
+def test_a_restarted_plan_has_no_times_before_its_start():
     plan = cs.plan(one_contact())
     again = plan.restart(0.5, plan.states(0.5)[0])
     with pytest.raises(cs.ContactSystemError, match=r"outside the plan's horizon \[0.5, 1\] s"):
