@@ -1,7 +1,7 @@
 """The planner as an FMU, pushed by its importer
 
 A scene becomes a file for any simulator with FMI 2.0 or 3.0. Here fmpy runs it with an input: an
-acceleration of finger 1 that is not part of the scene. fmpy warns that other inputs stay 0.
+acceleration of finger 1 that is not part of the scene. Other inputs stay 0, as fmpy warns.
 """
 
 import fmpy

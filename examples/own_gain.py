@@ -1,7 +1,7 @@
 """Gain laws, and one of your own
 
-The gain law lam(t) determines how fast slip decays. The paper's law acts only when the path is
-fast; `guaranteed` makes up for a growing sigma; a law of your own is one row of a table.
+The gain lam(t) determines how fast slip decays. The paper's law is weak where the path speed sigma
+is small; `guaranteed` makes up for a growing sigma; a law of your own is one row of a table.
 """
 
 import matplotlib.pyplot as plt

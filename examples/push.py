@@ -1,8 +1,8 @@
 """Slip after a push
 
 A fingertip rolls on a torus. From 0.5 to 0.8 s it is accelerated across its path, and the contact
-slips; after the push, slip decays at the rate of the gain. `continued` plans the motion from 1.5 s
-on without the second push.
+slips; after the push, slip decays at the rate of the gain. A second push follows at 2 s;
+`continued` plans the motion from 1.5 s on without it.
 """
 
 import contact_system as cs

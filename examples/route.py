@@ -16,7 +16,7 @@ scene = cs.Scene(
     duration=3.0,
 )
 goal = cs.Goal(object_at=(2.0, 1.0), finger_at=(1.0, 0.5), angle=1.0)
-route = cs.reach(scene, goal, legs=4)  # with seconds=2 it searches 2 s for a shorter one
+route = cs.reach(scene, goal, legs=4)  # seconds=2 would search 2 s for a shorter one
 for leg in route.legs[0]:
     print(f"turn to {leg.direction:+.3f} rad, roll {leg.length:.4f} m")
 print(f"{route.length:.3f} m in all, off the goal by {route.residual:.0e} of the size")

@@ -1,7 +1,7 @@
 """Decay of slip on a triaxial ellipsoid
 
 Three fingertips start to move while their contact points on the ellipsoid are at rest. With the
-gain law lam = eta slip decays as sigma(t)/sigma(0) exp(-eta t) on any surface; the dots show it.
+gain law lam = eta, slip decays as sigma(t)/sigma(0) exp(-eta t) on any surface, as dots show.
 """
 
 import contact_system as cs

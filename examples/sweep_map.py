@@ -1,7 +1,7 @@
 """A map of four thousand scenes
 
-`cs.sweep` plans many scenes, here on a pool of threads. Each point of the map is a scene; the
-colour is the slip 0.1 s after a disturbance of that length, under that gain.
+`cs.sweep` plans many scenes, here on a pool of threads. Each point of the map is a scene with its
+own gain and length of a disturbance; the colour is the slip 0.1 s after the disturbance.
 """
 
 from concurrent.futures import ThreadPoolExecutor

@@ -1,8 +1,8 @@
 """An FMU beside another model
 
-A wind, an FMU made by pythonfmu, disturbs K2, and stops when the finger slips. The two FMUs run in
-one system (SSP), and, dashed, in a container of fmu-manipulation-toolbox. In the SSP, fmpy passes
-on the outputs of the previous step. Needs pythonfmu and fmu-manipulation-toolbox.
+K2 is disturbed by a wind, an FMU made by pythonfmu, which stops when the finger slips. The two FMUs
+run in one system (SSP) and, dashed, in a container of fmu-manipulation-toolbox. In the SSP, fmpy
+passes on the outputs of the previous step. Needs pythonfmu and fmu-manipulation-toolbox.
 """
 
 import os
