@@ -53,7 +53,7 @@ def _note(*said: Any) -> None:
     status, _, message = said[-3:]
     if (log := _LOG.get()) is not None:
         log.append((status, (message or b"").decode(errors="replace").strip()))
-    elif len(said) == 5:  # of another FMU, as fmpy does by itself
+    elif len(said) == 5 and status >= WARNING:  # of another FMU, as fmpy does by itself
         printLogMessage(*said)
 
 
@@ -266,17 +266,13 @@ class Instance:
                 str(self._folder),
                 self.description,
                 "CoSimulation",
-                debug_logging=True,
+                debug_logging=True,  # and not by category: some tools give errors none, or another
                 logger=_note,
                 library_path=str(self._library),
             )
         self._fmu = fmu
         if self.version == 2:
             _CALLBACKS[:] = [fmu.callbacks]
-        status = [c.name for c in self.description.logCategories if c.name.startswith("logStatus")]
-        if status:  # and not what it says about each step
-            with contextlib.suppress(FMICallException):
-                fmu.setDebugLogging(True, status)
 
     @contextlib.contextmanager
     def _doing(self, what: str, time: float) -> Iterator[None]:
