@@ -68,6 +68,7 @@ class Moment:
     _instance: Instance
     time: float
     stepped: bool
+    ends: bool  # whether the FMU has asked to end the simulation
     values: list[Array]
 
     def __deepcopy__(self, memo: Any) -> Moment:
@@ -180,9 +181,8 @@ class Instance:
             self._running = True
             return self._here(time, stepped=False)
 
-    def step(self, moment: Moment, given: Given, step: float) -> tuple[Moment, bool]:
-        """From a moment to the next, with the inputs during it; also whether the FMU wants to end
-        the simulation."""
+    def step(self, moment: Moment, given: Given, step: float) -> Moment:
+        """From a moment to the next, with the inputs during it."""
         time, ends = moment.time, False
         with self._turn, self._doing(f"a step of {step:.6g} s", time):
             self._go_to(moment)
@@ -201,7 +201,7 @@ class Instance:
                     if early and not ends and last < time + (1 - SLACK) * step:
                         raise FMICallException("fmi3DoStep, early return,", 2)
             # As Drake counts its samples: without a sum of rounding errors.
-            return self._here(round(time / step + 1) * step, stepped=True), ends
+            return self._here(round(time / step + 1) * step, stepped=True, ends=ends)
 
     def _asks_to_end(self, error: FMICallException, time: float) -> bool:
         """Whether an FMU of FMI 2 has discarded what is left of a step from `time` on to end the
@@ -214,10 +214,10 @@ class Instance:
             return ends and self._fmu.getRealStatus(fmi2LastSuccessfulTime) > time
         return ends
 
-    def _here(self, time: float, stepped: bool) -> Moment:
+    def _here(self, time: float, stepped: bool, ends: bool = False) -> Moment:
         """The moment at which the FMU is."""
         values = [block.read(self._fmu) for block in self._outputs]
-        self._at = moment = Moment(self, time, stepped, values)
+        self._at = moment = Moment(self, time, stepped, ends, values)
         if self.keeps_states:
             self._states[id(moment)] = self._fmu.getFMUState()
         return moment

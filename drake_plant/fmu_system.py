@@ -156,14 +156,15 @@ class FmuSystem(LeafSystem):
 
     def _Step(self, context: Context, state: State) -> EventStatus:
         time, moment = context.get_time(), self._Moment(context)
-        ahead = (moment.time - time) / self._step
-        if abs(ahead - 1) < SLACK:  # a Simulator before this one did this update and stopped here
-            return EventStatus.DidNothing()
-        if abs(ahead) > SLACK:
-            self._RefuseTime(time, moment)
-        moment, ends = self._instance.step(moment, list(self._Given(context)), self._step)
-        state.get_mutable_abstract_state().get_mutable_value(self._moment).set_value(moment)
-        if ends:
+        if not moment.ends:
+            ahead = (moment.time - time) / self._step
+            if abs(ahead - 1) < SLACK:  # a Simulator before this one did this update and stopped
+                return EventStatus.DidNothing()
+            if abs(ahead) > SLACK:
+                self._RefuseTime(time, moment)
+            moment = self._instance.step(moment, list(self._Given(context)), self._step)
+            state.get_mutable_abstract_state().get_mutable_value(self._moment).set_value(moment)
+        if moment.ends:  # and is not stepped again, whoever goes on
             return EventStatus.ReachedTermination(self, f"{self._instance.name} asks to end here")
         return EventStatus.Succeeded()
 
