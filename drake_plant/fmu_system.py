@@ -47,8 +47,8 @@ class FmuSystem(LeafSystem):
     ZeroOrderHold before them would delay by a `step`. Inputs that are not connected keep their
     start values.
 
-    Initialization gives the FMU the Context's time, which has to be a multiple of `step`, and the
-    inputs. A default Context is at t = 0 s.
+    Initialization gives the FMU the Context's time, which has to be 0 or a multiple of `step` after
+    that, and the inputs. A default Context is at t = 0 s.
 
     The FMU's state is an abstract state, the outputs are discrete ones, so that Contexts can be
     cloned, put aside and gone back to. This needs an FMU with canGetAndSetFMUstate. Any other can
@@ -144,10 +144,11 @@ class FmuSystem(LeafSystem):
             if not -SLACK <= (moment.time - time) / step <= 1 + SLACK:
                 self._RefuseTime(time, moment)
             return
-        if not math.isfinite(time) or abs(time - round(time / step) * step) > SLACK * step:
+        on_step = math.isfinite(time) and abs(time - round(time / step) * step) <= SLACK * step
+        if not on_step or time < 0:  # Drake has no samples before 0
             raise ContactSystemError(
-                f"{self._instance.name}: t = {time!r} s is not a multiple of the step of {step:g} "
-                "s, so that no update would come at the start: set the Context's time to one"
+                f"{self._instance.name}: t = {time!r} s is not 0 or a positive multiple of the "
+                f"step of {step:g} s, so that no update would come then: set the time to one"
             )
         moment = self._instance.begin(time, list(self._Given(context)))
         state.get_mutable_abstract_state().get_mutable_value(self._moment).set_value(moment)

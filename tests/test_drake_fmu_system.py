@@ -330,10 +330,10 @@ def test_it_starts_at_the_time_of_the_context(build, version):
     context.SetTime(0.0)
     with pytest.raises(cs.ContactSystemError, match="time is 0 s and its FMU is at 10"):
         simulator.Initialize()
-    for time in (0.05, np.nan, np.inf):
+    for time in (0.05, -0.1, np.nan, np.inf):
         late = Simulator(FmuSystem(build(version), step=0.1))
         late.get_mutable_context().SetTime(time)
-        words = f"t = {time} s is not a multiple of the step"
+        words = f"t = {time} s is not 0 or a positive multiple of the step"
         with pytest.raises(cs.ContactSystemError, match=words):
             late.Initialize()
 
