@@ -148,14 +148,19 @@ class Instance:
         self._start_values, self._outputs = {**start_values, **rows}, outputs
 
     def _check_start(self, variable: Any, value: Any) -> None:
-        """Refuse numbers that fmpy would wrap or cut; all else it checks."""
-        given = np.ravel([] if isinstance(value, (str, tuple)) else value)
+        """Refuse what fmpy would cut, or refuse without a name; it checks text and units."""
+        if isinstance(value, (str, tuple)) or not carried(variable):
+            return
+        given, size = np.ravel(value), size_of(variable)
         if given.dtype == object and all(isinstance(x, int) for x in given):
             given = given.astype(float)
-        fits = given.dtype.kind in "biuf" and len(given) == size_of(variable)
-        if fits and carried(variable):
-            if problem := PortVariables([variable], self.version).check(given):
-                raise ContactSystemError(f"{self.name}, start_values: {problem}; give one that is")
+        problem: str | None = f"{variable.name} = {value!r}: give {size} of type {variable.type}"
+        if variable.causality == "structuralParameter":
+            problem = f"{variable.name} is a structural parameter; export the FMU with its value"
+        elif given.dtype.kind in "biuf" and len(given) == size:
+            problem = PortVariables([variable], self.version).check(given)
+        if problem:
+            raise ContactSystemError(f"{self.name}, start_values: {problem}")
 
     # --- life
 

@@ -70,7 +70,7 @@ class FmuSystem(LeafSystem):
         structure, which stands for all inputs or outputs in it: ``"contact[1].slip"`` for
         ``contact[1].slip.x`` and ``contact[1].slip.y``. An output may be any variable.
     start_values : mapping, optional
-        Of parameters, and whatever else may be set before initialization.
+        Of parameters, but structural ones, and whatever else may be set before initialization.
     instance_name : str, optional
         By default the model's; messages begin with it.
 
