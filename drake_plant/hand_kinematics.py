@@ -93,6 +93,7 @@ def add_hand(plant: MultibodyPlant, hand: Hand, scene: Scene, tips: list[RigidBo
             near = did_you_mean(name, [body.name() for body in bodies])
             raise SceneError(f"hand: tips[{i}] = {name!r}: {hand.model} has no such frame{near}")
         plant.WeldFrames(plant.GetFrameByName(name, instances[0]), tip.body_frame())
+    bodies.append(plant.world_body())  # where an MJCF file may have a floor, or the palm
     return GeometrySet([g for body in bodies for g in plant.GetCollisionGeometriesForBody(body)])
 
 

@@ -212,7 +212,6 @@ def _add(
         ),
         builder,
     )
-    plant.mutable_gravity_field().set_gravity_vector([0, 0, -config.gravity])
     colour = rgba(BODY[1], OPACITY if scene.object.inside else 1.0)
     object_body = _add_body(plant, "object", 1, scene.object, colour, config, touches)
     fingers = [
@@ -226,6 +225,8 @@ def _add(
         excluded.ExcludeWithin(links)
         excluded.ExcludeBetween(links, GeometrySet(sum(touching, [])))
     scene_graph.collision_filter_manager().Apply(excluded)
+    # a hand's file may have set another one
+    plant.mutable_gravity_field().set_gravity_vector([0, 0, -config.gravity])
     if config.object == "welded":
         plant.WeldFrames(plant.world_frame(), object_body.body_frame())
     turning = scene.turning if config.object == "turning" else None

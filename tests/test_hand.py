@@ -84,10 +84,10 @@ def test_what_a_hand_cannot_do_is_refused_with_the_reason(changes, words):
 AROUND = own_hand([0, 2 * math.pi / 3, -2 * math.pi / 3])
 
 
-def in_file(folder, text):
+def in_file(folder, text, name="mine.sdf"):
     """The table of a hand that is read from a file."""
-    (folder / "mine.sdf").write_text(text)
-    return {"model": str(folder / "mine.sdf"), "tips": [f"tip_{i}" for i in range(3)]}
+    (folder / name).write_text(text)
+    return {"model": str(folder / name), "tips": [f"tip_{i}" for i in range(3)]}
 
 
 @pytest.mark.parametrize(
@@ -180,9 +180,15 @@ def test_a_ball_ends_where_it_should(model):
     assert told.torque_share.max() < 1 and told.room.min() > 0
 
 
-def test_a_ball_that_is_lowered_as_planned_does_not_fall():
-    drake = {**H2.drake, "turn": [], "move": [0, 0, -0.03], "contact_model": "point"}
-    assert not object_report(simulate(H2.replace(duration=0.3, drake=drake))).falls
+def test_a_ball_that_is_lowered_as_planned_does_not_fall(tmp_path):
+    slides = "".join(f'<joint type="slide" axis="{x}"/>' for x in ("1 0 0", "0 1 0", "0 0 1"))
+    tip = f"<body name='tip_%d'>{slides}<geom size='1' mass='1'/></body>"
+    text = "<geom size='1'/>" + "".join(tip % i for i in range(3))  # round all else
+    text = f"<mujoco model='m'><option gravity='0 0 0'/><worldbody>{text}</worldbody></mujoco>"
+    hand = in_file(tmp_path, text, "mine.xml") | {"pad": 1}
+    drake = {**H2.drake, "turn": [], "move": [0, 0, -0.03], "contact_model": "point", "hand": hand}
+    result = simulate(H2.replace(duration=0.3, drake=drake))
+    assert not object_report(result).falls and hand_report(result).off.max() < 1e-4
 
 
 def test_the_command_line_tells_of_a_hand(tmp_path, capsys):
