@@ -148,12 +148,13 @@ class Chains:
         return Chains, self._made_from
 
     def _find_joints(self) -> None:
-        plant, size = self.plant, self.plant.num_positions()
-        moving = moving_joints(plant)
-        if plant.num_velocities() != size or len(moving) != size:
-            raise SceneError(
-                "hand: a joint has more than one degree of freedom; give revolute or prismatic ones"
-            )
+        plant, moving = self.plant, moving_joints(self.plant)
+        for joint in map(plant.get_joint, plant.GetJointIndices()):
+            if joint.num_velocities() > 1:
+                raise SceneError(
+                    f"hand: joint {joint.name()} has more than one degree of freedom; give "
+                    "revolute or prismatic ones"
+                )
         if plant.num_constraints():
             raise SceneError(
                 "hand: joints of the model are coupled, as mimic joints are; give a model whose "
@@ -165,13 +166,14 @@ class Chains:
         self.lower, self.upper = np.clip(limits, -UNBOUNDED, UNBOUNDED)
         self._half = (self.upper - self.lower) / 2
         self.middle, self.unit = self.lower + self._half, np.minimum(self._half, 1.0)
-        if not self._half.all():
-            k = int(np.argmin(self._half))
+        wrong = (self._half == 0) | ((self.lower == -UNBOUNDED) != (self.upper == UNBOUNDED))
+        if wrong.any():
+            where = self._limits([int(np.argmax(wrong))], self.middle)
             raise SceneError(
-                f"hand: {self._limits([k], self.middle)}: it cannot move; give other limits, or a "
-                "fixed joint"
+                f"hand: {where}: it cannot move, or has one limit alone; give two that leave it "
+                "room, none, or a fixed joint"
             )
-        self.effort = np.full(size, np.inf)
+        self.effort = np.full(len(moving), np.inf)
         for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
             self.effort[actuator.joint().velocity_start()] = actuator.effort_limit()
         moves = [plant.GetBodiesKinematicallyAffectedBy([joint.index()]) for joint in moving]

@@ -97,6 +97,8 @@ def in_file(folder, text, name="mine.sdf"):
         ("<xyz>1 0 0", "<xyz>0 -1 0", "finger 1 would slip"),
         ('revolute(">.*)1 0 0(.*-)0.8(.*)0.8', r"prismatic\g<1>0 1 0\g<2>0.1\g<3>0.1", r"0.1\] m$"),
         (">palm(?=</parent><child>finger_1)", ">finger_0_link_0", "shares finger_0_joint_0"),
+        ("revolute", "ball", "joint finger_0_joint_0 has more than one degree of freedom"),
+        ("<upper>1.7</upper>", "", "joint finger_0_joint_3 .* one limit alone"),
     ],
 )
 def test_what_a_model_cannot_do_is_refused_with_the_reason(tmp_path, old, new, words):
