@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from contact_system import Scene, SceneError
+from contact_system import Scene, SceneError, Sphere
 from contact_system.checks import (
     did_you_mean,
     finite_number,
@@ -277,6 +277,12 @@ class StationConfig:
             return
         of_kind(Hand, self.hand, "hand", "a Hand")
         self.hand.check(len(scene.contacts))
+        for i, contact in enumerate(scene.contacts):
+            if not isinstance(contact.finger, Sphere) or contact.finger.inside:
+                raise SceneError(
+                    f"{scene.contact_name(i)}: finger = {contact.finger!r}: a fingertip on joints "
+                    "is a sphere"
+                )
         if self.object != "free" or not self.time_step:
             raise SceneError('hand: it needs object = "free" and a time_step above 0')
         if scene.disturbances:

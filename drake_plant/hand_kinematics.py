@@ -34,7 +34,7 @@ from pydrake.multibody.tree import (
 )
 from pydrake.solvers import SnoptSolver
 
-from contact_system import Scene, SceneError, Sphere
+from contact_system import Scene, SceneError
 from contact_system.checks import Array, did_you_mean
 from contact_system.contact_sensor import NORMAL, ON_FINGER, ON_OBJECT, probes_of
 
@@ -127,11 +127,6 @@ class Chains:
         self.plant = plant = MultibodyPlant(0.0)
         self.tips = []
         for i, contact in enumerate(scene.contacts):
-            if not isinstance(contact.finger, Sphere) or contact.finger.inside:
-                raise SceneError(
-                    f"{scene.contact_name(i)}: finger = {contact.finger!r}: a fingertip on joints "
-                    "is a sphere"
-                )
             inertia = SpatialInertia.Zero()
             if tip_mass:
                 inertia = SpatialInertia.SolidSphereWithMass(tip_mass, contact.finger.size)

@@ -232,7 +232,9 @@ def _routed(chains: Chains, path: Any, t: Array, way: Array) -> tuple[Array, Arr
         fingers' reach; legs of `cs.reach` lead there on the pads and without spin.
     """
     rest = np.zeros_like(way[[0, -1]])
-    ends = _contacts(chains, path, t[[0, -1]], way[[0, -1]], rest)[..., STATES]
+    rows = _contacts(chains, path, t[[0, -1]], way[[0, -1]], rest)
+    _refuse_pads(chains.scene, chains.hand, t[:1], rows[:1, :, ON_FINGER])
+    ends = rows[..., STATES]
     goals = [
         Goal(object_at=row[4:6], finger_within=(*contact.finger_at, chains.hand.pad))
         for row, contact in zip(ends[1], chains.scene.contacts)
