@@ -77,7 +77,7 @@ from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mes
 from .hand_kinematics import add_hand
 from .meshes import SurfaceMesh, contact_mesh, domain_of
 from .planner_base import FOREVER
-from .pressing import Touch, check_depth, contact_depth, touches_of
+from .pressing import Touch, check_depth, contact_depth, resting, touches_of
 
 # Edges h are so long that along one a gap of so many contact depths opens. The distance of facets
 # from the surface ripples with the period of the mesh, and a patch of radius a averages the ripple
@@ -194,7 +194,7 @@ def AddScenePlant(
         _check_names(builder, config)
         config = dataclasses.replace(config)  # the caller may change what is his
         _check_surfaces(scene, config)
-        touches = touches_of(scene)
+        touches = touches_of(scene if config.hand is None else resting(scene))
         _check_edges(config, touches)
         return _add(builder, scene, config, touches)
 

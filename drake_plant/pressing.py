@@ -85,6 +85,15 @@ def rolling_scene(scene: Scene, config: StationConfig) -> Scene:
     return dataclasses.replace(scene, object=_smaller(scene.object, of_object), contacts=contacts)
 
 
+def resting(scene: Scene) -> Scene:
+    """The scene as a hand begins it, which does not follow its velocities and legs."""
+    contacts = [
+        dataclasses.replace(c, finger_velocity=(0.0, 0.0), object_velocity="rolling", legs=())
+        for c in scene.contacts
+    ]
+    return scene.replace(contacts=contacts)
+
+
 def _smaller(surface: Surface, by: float) -> Surface:
     """The offset surface, so many m deeper in the body; planes, for one, stay as they are."""
     names, less = RADII.get(type(surface)), -by if surface.inside else by

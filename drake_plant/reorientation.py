@@ -27,7 +27,7 @@ from .config import StationConfig
 from .hand import Hand
 from .hand_kinematics import Chains
 from .plant import AddScenePlant, solid_inertia
-from .pressing import rolling_scene
+from .pressing import resting, rolling_scene
 
 STEPS = 16  # least number of integration steps from the start of the motion to its end
 ACCURATE = 1e-7  # error of a step, in units of the joints
@@ -269,7 +269,7 @@ def _planned(
     """The plan with contacts as deep as the configuration's normal force presses them, and with
     normal forces of at least ``least``, N."""
     assert config.hand is not None
-    rolling = rolling_scene(scene, config)
+    rolling = rolling_scene(resting(scene), config)
     chains = Chains(config.hand, rolling, config.finger_mass, config.gravity)
     (t, q, v), route = _rolled(chains, path), None
     if min(map(len, chains.joints)) >= FREE:
@@ -301,7 +301,7 @@ def _planned(
         hand=config.hand,
         scene=scene,
         config=config,
-        rolling=_starting(rolling, states[0], finger_velocity=(0, 0)),
+        rolling=_starting(rolling, states[0]),
         route=route,
         path=path,
         t=t,
