@@ -90,8 +90,11 @@ def add_hand(plant: MultibodyPlant, hand: Hand, scene: Scene, tips: list[RigidBo
     for i, tip in enumerate(tips):
         name = hand.tips[i] if hand.tips else f"tip_{i}"
         if not plant.HasFrameNamed(name, instances[0]):
-            near = did_you_mean(name, [body.name() for body in bodies])
-            raise SceneError(f"hand: tips[{i}] = {name!r}: {hand.model} has no such frame{near}")
+            frames = map(plant.get_frame, plant.GetFrameIndices(instances[0]))
+            near = did_you_mean(name, [frame.name() for frame in frames])
+            raise SceneError(
+                f"hand: tips[{i}] = {name!r}: {hand.model} has no such link or frame{near}"
+            )
         plant.WeldFrames(plant.GetFrameByName(name, instances[0]), tip.body_frame())
     bodies.append(plant.world_body())  # where an MJCF file may have a floor, or the palm
     return GeometrySet([g for body in bodies for g in plant.GetCollisionGeometriesForBody(body)])

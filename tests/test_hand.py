@@ -94,7 +94,7 @@ def in_file(folder, text, name="mine.sdf"):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("tip_2", "thumb", r"tips\[2\] = 'tip_2'"),
+        ("tip_2", "thumb_2", r"tips\[2\] = 'tip_2': .* frame .did you mean 'tip_"),
         ("<xyz>1 0 0", "<xyz>0 -1 0", "finger 1 would slip"),
         ('revolute(">.*)1 0 0(.*-)0.8(.*)0.8', r"prismatic\g<1>0 1 0\g<2>0.1\g<3>0.1", r"0.1\] m$"),
         (">palm(?=</parent><child>finger_1)", ">finger_0_link_0", "shares finger_0_joint_0"),
