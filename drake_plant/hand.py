@@ -1,6 +1,7 @@
 """A hand: fingers as serial chains, the project's own one or any model by file."""
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -78,7 +79,10 @@ class Hand:
         if len(finite_numbers(self.base, "hand: base")) != 3:
             raise SceneError(f"hand: base = {self.base!r}: give three numbers, m")
         finite_number(self.pad, "hand: pad", "above 0")
+        of_kind((str, os.PathLike), self.model, "hand: model", "the path of a file")
         of_kind((list, tuple), self.tips, "hand: tips", "a list of the model's frames")
+        for i, tip in enumerate(self.tips):
+            of_kind(str, tip, f"hand: tips[{i}]", "the name of a frame")
         wanted = contacts if self.model else 0
         if len(self.tips) != wanted:
             raise SceneError(

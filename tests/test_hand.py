@@ -72,6 +72,7 @@ def test_fingers_of_six_joints_follow_routes_of_reach(tmp_path):
         ({"hand": {"joints": 6, "pad": 0.006}}, ["finger 1 rolls off its pad", "pad = 0.006"]),
         ({"hand": {"joints": 6, "pad": 0.008}}, ["^scene 'H2', contact 2: (?!.*H2)"]),
         ({"hand": {"tips": ["a"]}}, ["tips = .'a'.", "0 names"]),
+        ({"hand": {"model": "a", "tips": [0, 1, 2]}}, [r"tips\[0\] = 0: give the name"]),
         ({"hand": {"model": "none.sdf", "tips": ["a", "b", "c"]}}, ["none.sdf': there .* give"]),
         ({"turn": [[0, 30]]}, [r"turn\[0\] = \[0, 30\]"]),
         ({"restart_period": 0.01}, ["restart_period = 0.01", "nothing with a hand"]),
