@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-from contact_system import Ellipsoid, Goal, Scene, SceneError, Sphere, reach
+from contact_system import Cylinder, Ellipsoid, Goal, Scene, SceneError, Sphere, reach
 from contact_system import plan as make_plan
 from contact_system.checks import Array, naming, of_kind
 from contact_system.contact_sensor import FOUND, NORMAL, ON_FINGER, ON_OBJECT, SLIP, STATES
@@ -26,7 +26,7 @@ from .balance import balancing_forces, friction_used, needed_wrench
 from .config import StationConfig
 from .hand import Hand
 from .hand_kinematics import Chains
-from .plant import AddScenePlant, solid_inertia
+from .plant import REACH, AddScenePlant, solid_inertia
 from .pressing import resting, rolling_scene
 
 STEPS = 16  # least number of integration steps from the start of the motion to its end
@@ -282,6 +282,7 @@ def _planned(
     states = found[..., STATES]
     points = np.stack([found[..., ON_FINGER], found[..., ON_OBJECT]], axis=2)
     _refuse_pads(rolling, config.hand, t, points[:, :, 0])
+    _refuse_ends(rolling, t, points[:, :, 1])
     normals, arms = (
         np.einsum("mij,mnj->mni", R, part) for part in (-found[..., NORMAL], points[:, :, 1])
     )
@@ -348,6 +349,18 @@ def _refuse_pads(scene: Scene, hand: Hand, t: Array, points: Array) -> None:
                 f"{scene.contact_name(i)} rolls off its pad: at t = {t[k]:.3g} s it touches "
                 f"{away[k]:.2g} m from the pad's middle, pad = {hand.pad:g} m"
             )
+
+
+def _refuse_ends(scene: Scene, t: Array, points: Array) -> None:
+    """Raise a SceneError where a contact leaves a cylinder; points (m, n, 3) on the object."""
+    end = np.abs(points[0, :, 2]).max() + REACH  # of its mesh
+    if isinstance(scene.object, Cylinder) and (over := np.abs(points[..., 2]) > end).any():
+        k, i = np.argwhere(over)[0]
+        raise SceneError(
+            f"{scene.contact_name(i)} rolls off the object's end: at t = {t[k]:.3g} s it touches "
+            f"at z = {points[k, i, 2]:.3g} m, and a cylinder ends {REACH:g} m beyond the contacts "
+            "at the start; turn it less"
+        )
 
 
 def object_inertia(scene: Scene, config: StationConfig) -> SpatialInertia:

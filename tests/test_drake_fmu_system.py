@@ -568,8 +568,7 @@ def test_fmpy_hears_what_other_fmus_say_when_a_system_is_gone(tmp_path, capfd):
 
 @pytest.mark.parametrize("kind", [np.array, list])
 def test_the_start_value_of_a_matrix_is_one(kind, tmp_path):
-    given = {"fmi_version": "3.0", "arrays": True, "measured": "pose"}
-    file = export_fmu(cs.load_scene("K2"), tmp_path / "K2.fmu", **given)
+    file = export_fmu(cs.load_scene("K2"), tmp_path / "K2.fmu", "3.0", arrays=True, measured="pose")
     name, rotation = "contact[1].measured.pose.rotation", [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
     system = FmuSystem(file, step=0.1, outputs=name, start_values={name: kind(rotation)})
     assert values(system, system.CreateDefaultContext(), "y").tolist() == sum(rotation, [])
@@ -578,10 +577,8 @@ def test_the_start_value_of_a_matrix_is_one(kind, tmp_path):
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """A scene with a window, off the samples, and its FMU of each version."""
-    scene = cs.load_scene("D1")
-    scene = scene.replace(
-        disturbances=[cs.FingerAcceleration(0, 0.1013, 0.1577, (-50.0, 30.0))], duration=0.5
-    )
+    push = cs.FingerAcceleration(0, 0.1013, 0.1577, (-50.0, 30.0))
+    scene = cs.load_scene("D1").replace(disturbances=[push], duration=0.5)
     folder = tmp_path_factory.mktemp("planner")
     return scene, {v: export_fmu(scene, folder / f"planner{v}.fmu", v) for v in VERSIONS}
 

@@ -195,6 +195,10 @@ def test_a_ball_that_is_lowered_as_planned_does_not_fall(tmp_path):
     scene = H2.replace(duration=0.3, profile=cs.Profile([2.0]), contacts=moving, drake=drake)
     result = simulate(scene)  # to which the scene's own motion does not matter
     assert not object_report(result).falls and hand_report(result).off.max() < 1e-4
+    around = [dataclasses.replace(c, object_at=c.object_at[::-1]) for c in H2.contacts]
+    can = scene.replace(object=cs.Cylinder(0.05), contacts=around, drake=H2.drake)
+    with pytest.raises(cs.SceneError, match="rolls off the object's end: .* 0.02 m beyond"):
+        made(can, turn=[[150, 0, 0]], hand=hand)
 
 
 def test_the_command_line_tells_of_a_hand(tmp_path, capsys):
