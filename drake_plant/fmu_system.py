@@ -48,7 +48,8 @@ class FmuSystem(LeafSystem):
     start values.
 
     Initialization gives the FMU the Context's time, which has to be 0 or a multiple of `step` after
-    that, and the inputs. A default Context is at t = 0 s.
+    that, and the inputs, of which those from another FMU are as before its own initialization:
+    where that matters, give both start values. A default Context is at t = 0 s.
 
     The FMU's state is an abstract state, the outputs are discrete ones, so that Contexts can be
     cloned, put aside and gone back to. This needs an FMU with canGetAndSetFMUstate. Any other can
