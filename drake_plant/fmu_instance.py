@@ -95,6 +95,10 @@ class Instance:
             self._folder = self._unpacked(path)
             self.description = read_description(path, self._folder)
             self.version = int(self.description.fmiVersion[0])
+            if self.description.coSimulation.canBeInstantiatedOnlyOncePerProcess and path.is_dir():
+                self._made_folder = tempfile.mkdtemp(prefix="fmu-")  # with a library of its own
+                shutil.copytree(path, self._made_folder, dirs_exist_ok=True)
+                self._folder = Path(self._made_folder)
             self._library = library_of(path, self._folder, self.description)
             # whether the FMU can go back to where it was
             self.keeps_states = self.description.coSimulation.canGetAndSetFMUstate

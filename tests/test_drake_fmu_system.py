@@ -123,12 +123,10 @@ int F(GetInteger, GetInt32)(void* c, const Reference* r, size_t n, int* v COUNT)
     return 0;
 }
 int F(GetBoolean, GetBoolean)(void* c, const Reference* r, size_t n, Boolean* v COUNT) {
-    *v = M.on;
-    return 0;
+    return *v = M.on, 0;
 }
 int F(SetBoolean, SetBoolean)(void* c, const Reference* r, size_t n, const Boolean* v COUNT) {
-    M.on = *v;
-    return 0;
+    return M.on = *v, 0;
 }
 
 #if FMI == 2
@@ -137,8 +135,7 @@ void* fmi2Instantiate(const char* name, int kind, const char* guid, const char* 
     return make(guid, log, log->componentEnvironment);
 }
 int fmi2SetupExperiment(void* c, int a, double tolerance, double start, int b, double stop) {
-    M.time = start;
-    return 0;
+    return M.time = start, 0;
 }
 int fmi2EnterInitializationMode(void* c) { return 0; }
 int fmi2DoStep(void* c, double t, double h, int last) {
@@ -249,6 +246,7 @@ def build(tmp_path_factory):
         flags += [f"-DRESETS={int(reset)}", "-o", library, root / "integrators.c"]
         subprocess.run([*compiler, *flags], check=True)
         state = f'canGetAndSetFMU{"s" if version == "2.0" else "S"}tate="{str(keeps).lower()}"'
+        state += ' canBeInstantiatedOnlyOncePerProcess="true"'
         xml = description(version, f'<{interface} modelIdentifier="integrators" {state}/>')
         (root / "unpacked" / "modelDescription.xml").write_text(xml)
         made[key] = root / "integrators.fmu"
@@ -449,6 +447,8 @@ def test_everything_is_freed_with_the_system(build, version, tmp_path, monkeypat
     gc.collect()
     assert gone() is None and context is not None
     assert not list(tmp_path.iterdir())
+    two = [FmuSystem(build(version).parent / "unpacked", step=1, outputs="copies") for _ in "ab"]
+    assert [values(x, x.CreateDefaultContext(), "y")[0] for x in two] == [0, 0]  # not of one file
 
 
 # --- refusals ------------------------------------------------------------------------------------
