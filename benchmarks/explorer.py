@@ -36,7 +36,7 @@ PRESS = """(async () => {
   const gl = window.__viserMutable.canvas.getContext("webgl2");
   const chart = Object.values(uplots)[0].chart, before = chart.data;
   const thumb = document.querySelectorAll("[role=slider]")[1];
-  const key = {key: "ArrowRight", code: "ArrowRight", bubbles: true};
+  const key = {key: "ArrowRight", bubbles: true};
   const begin = performance.now();
   thumb.dispatchEvent(new KeyboardEvent("keydown", key));
   while (chart.data === before) await now();
