@@ -46,7 +46,7 @@ CELLS, FINGER_CELLS = 32, 16  # of meshes in each coordinate; finer ones look al
 LINES = 4  # every fourth line of a mesh is drawn
 # of the object's size: width of lines, error of curves, depth of lines below curves, and of bodies
 # below lines
-WIDTH, BEND, DEPTH = 2e-3, 1e-3, 1.5e-3
+WIDTH, BEND, DEPTH = 3e-3, 1e-3, 1.5e-3
 FRAME = 1 / 30  # s, between frames of an animation
 
 
@@ -132,6 +132,7 @@ class Explorer:
     def _add_controls(self) -> None:
         gui, scene = self.server.gui, self.base
         gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()  # beside the picture, which else is partly behind it
         self.said = gui.add_markdown(scene.description)
         self.slip = gui.add_uplot(
             self._slip_data(),
@@ -140,6 +141,7 @@ class Explorer:
             legend={"show": False},
             title="log10 of slip [m/s] over time [s]",
             aspect=1.8,
+            padding=(8, 24, 0, 0),  # room for the topmost number
         )
         self.play = gui.add_button("Play")
         self.clock = gui.add_slider("time [s]", 0.0, scene.duration, 1e-3, scene.duration)
@@ -278,23 +280,20 @@ class Explorer:
         tree.configure_default_lights(cast_shadow=False)
         tree.configure_environment_map(None)  # reflections take half of the time without a GPU
         tree.add_light_ambient("/light")
-        none, flat = np.zeros((1, 2, 3)), (np.zeros((3, 3)), np.array([[0, 1, 2]]))
-        style: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
-        pixels: dict[str, Any] = {"thickness_units": "screen"}
+        none, flat = np.zeros((1, 2, 3), np.uint8), (np.zeros((3, 3)), np.array([[0, 1, 2]]))
         names = ["/object", *(f"/finger {i}" for i in range(len(contacts)))]
         self.frames: list[Any] = [tree.add_frame(name, show_axes=False) for name in names]
         self.bodies: list[Any] = []
         self.lines: list[Any] = []
         for k, name in enumerate(names):
-            colour = BODY[0] if k == 0 else colour_of(k - 1)
-            style |= {"color": _rgb(colour), "opacity": 0.6 if k else None}
+            dark, light = [colour_of(k - 1)] * 2 if k else BODY
+            style: dict[str, Any] = {"color": _rgb(dark), "opacity": 0.6 if k else None}
             self.bodies.append(tree.add_mesh_simple(f"{name}/body", *flat, **style))
-            style |= {"color": _rgb(colour if k else BODY[1]), "opacity": None}
-            self.lines.append(tree.add_mesh_simple(f"{name}/lines", *flat, **style))
+            self.lines.append(tree.add_mesh_simple(f"{name}/lines", *flat, color=_rgb(light)))
         self.curves: list[list[Any]] = [
             [
                 tree.add_line_segments(
-                    f"{name}/curve {i}", none, none.astype(np.uint8), thickness=w, **pixels
+                    f"{name}/curve {i}", none, none, thickness=w, thickness_units="screen"
                 )
                 for name, w in ((f"/finger {i}", 3), ("/object", 4))
             ]
@@ -367,16 +366,17 @@ class Explorer:
         return {"label": str(contact), **style}
 
     def _look(self) -> None:
-        """Place the camera at the best view of the curves."""
-        contacts, mesh = range(len(self.base.contacts)), self.meshes[0]
-        points = self.shown.points
-        curves = [curve_of(self.shown.plan, i, self.shown.t, points[:, i, 1]) for i in contacts]
-        ends = mesh.points if mesh is not None else points[:, :, 1].reshape(-1, 3)
-        middle = (ends.min(axis=0) + ends.max(axis=0)) / 2 * self.unit
+        """Place the camera at the best view of the curves, where it sees all bodies whole."""
+        shown, points = self.shown, self.shown.points[:, :, 1]
+        curves = [curve_of(shown.plan, i, shown.t, points[:, i]) for i in range(points.shape[1])]
+        bodies = zip(self.meshes, (np.eye(4), *shown.pose[-1]))
+        placed = [m.points @ pose[:3, :3].T + pose[:3, 3] for m, pose in bodies if m is not None]
+        seen = np.concatenate([points.reshape(-1, 3), *placed]) * self.unit
+        middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
         camera: Any = self.server.initial_camera
-        camera.look_at, camera.up = middle, (0.0, 0.0, 1.0)
-        camera.position = middle + best_view(mesh, curves)[:, 2]
-        camera.near, camera.far = 0.01, 100.0
+        camera.fov, camera.look_at = 0.8, middle
+        away = 1.25 * np.linalg.norm(seen - middle, axis=1).max() / np.sin(camera.fov / 2)
+        camera.position = middle + away * best_view(self.meshes[0], curves)[:, 2]
 
 
 def _require_free(port: int) -> None:
