@@ -90,7 +90,8 @@ def test_a_value_that_is_no_scene_is_told_and_the_picture_stays(tmp_path):
     explorer = Explorer(cs.load_scene("K1"), tmp_path / "x.toml", port=0)
     try:
         shown = explorer.shown
-        explorer.ask({("object", "radius"): -1.0})
+        explorer.gain.value = -1.0
+        assert explorer.wake.wait(10)
         explorer.step(0.0)
         assert "Refused" in explorer.said.content and "-1.0" in explorer.said.content
         assert explorer.shown is shown

@@ -30,7 +30,7 @@ from ..scene import NO_CLAIMS, Scene, save_scene
 from ..steering import Goal, reach
 from ..surfaces import ParametricSurface
 from ..terminal import tell
-from ..theory.gain import LAWS, Gain
+from ..theory.gain import LAWS
 from .sliders import Place, Slider, adjusted, sliders_of
 
 try:
@@ -151,10 +151,9 @@ class Explorer:
         self.forget = gui.add_button("Forget goals", disabled=True)
         self.save = gui.add_button("Save scene")
         self.law = gui.add_dropdown("gain law", tuple(LAWS), initial_value=scene.gain.law)
-        value, place = scene.gain.value, ("gain",)
+        value, place = scene.gain.value, ("gain", "value")
         most = 4 * value or 100.0
-        gain = Slider("", self._parameter(), 0.0, most, value, (place,), self._gain)
-        self.gain = self._slider(gain)
+        self.gain = self._slider(Slider("", self._parameter(), 0.0, most, value, (place,)))
         folders: dict[str, Any] = {}
         for slider in sliders_of(scene):
             if slider.folder not in folders:
@@ -170,7 +169,7 @@ class Explorer:
         @self.law.on_update
         async def _(_: Any) -> None:
             self.gain.label = self._parameter()
-            self.ask({("gain",): self._gain(self.gain.value)})
+            self.ask({("gain", "law"): self.law.value})
 
         @self.play.on_click
         async def _(_: Any) -> None:
@@ -213,9 +212,6 @@ class Explorer:
     def _parameter(self) -> str:
         law = LAWS[self.law.value]
         return f"{law.parameter} [{law.unit}]"
-
-    def _gain(self, value: float) -> Gain:
-        return Gain(self.law.value, value)
 
     # --- requests ------------------------------------------------------------------------------
 
