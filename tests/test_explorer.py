@@ -93,19 +93,18 @@ def test_a_value_that_is_no_scene_is_told_and_the_picture_stays(tmp_path):
         explorer.gain.value = -1.0
         assert explorer.wake.wait(10)
         explorer.step(0.0)
-        assert "Refused" in explorer.said.content and "-1.0" in explorer.said.content
-        assert explorer.shown is shown
+        assert "-1.0" in explorer.said.content and explorer.shown is shown
     finally:
         explorer.close()
 
 
-@pytest.mark.parametrize("name", ["K4", "R1", "D2", "bowl", "chart", "implicit", "torus"])
+@pytest.mark.parametrize("name", ["K4", "R1", "D2", "H1", "bowl", "chart", "implicit", "torus"])
 def test_every_slider_gives_a_scene_or_an_error_that_says_why(name):
     scene = cs.load_scene(name)
     for slider in sliders_of(scene):
-        assert slider.low <= slider.value <= slider.high and slider.low < slider.high, slider.label
-        for value in (slider.low, slider.value, slider.high):
-            made = slider.made(value)
+        ends = [slider.made(x) for x in (slider.low, slider.value, slider.high)]
+        assert slider.low <= slider.value <= slider.high and ends[0] != ends[2], slider.label
+        for made in ends:
             try:
                 assert adjusted(scene, {place: made for place in slider.places}).contacts
             except cs.ContactSystemError as error:

@@ -121,7 +121,7 @@ def _of_starts(scene: Scene) -> Iterator[Slider]:
             )
         turn = -math.pi, math.pi
         yield Slider(folder, "angle psi [rad]", *turn, contact.angle, ((*place, "angle"),))
-        if not isinstance(contact.finger_velocity, str):
+        if not isinstance(contact.finger_velocity, str) and any(contact.finger_velocity):
             length, angle = cmath.polar(complex(*contact.finger_velocity))
 
             def turned(angle: float, length: float = length) -> tuple[float, float]:
