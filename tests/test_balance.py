@@ -1,4 +1,4 @@
-"""Contact forces that hold an object: closed forms, and contacts that cannot hold it."""
+"""Contact forces that hold an object: closed forms, simulations, grasps that cannot hold it."""
 
 import math
 
@@ -21,21 +21,21 @@ from drake_plant.measures import object_report
 WEIGHT = 0.2 * 9.81
 
 
-def ring(angles, radius=0.1):
-    """Contact points around the equator of a ball, and normals into it."""
+def contacts_at(angles, radius=0.1):
+    """Contact points at angles on the equator of a ball, and normals into it."""
     normals = -np.stack([np.cos(angles), np.sin(angles), 0 * np.array(angles)], axis=-1)[None]
     return -radius * normals, normals
 
 
-def around(n):
-    return ring(2 * np.pi * np.arange(n) / n)
+def evenly_spaced_contacts(n):
+    return contacts_at(2 * np.pi * np.arange(n) / n)
 
 
 @pytest.mark.parametrize("n", [2, 3, 5])
 @pytest.mark.parametrize("friction", [0.1, 0.5])
-def test_fingers_around_the_equator_squeeze_as_little_as_carries_the_weight(n, friction):
-    points, normals = around(n)
-    torque = [[1e-9, 0, 0]]  # by rounding, about the line of two
+def test_fingers_around_the_equator_press_no_more_than_the_weight_needs(n, friction):
+    points, normals = evenly_spaced_contacts(n)
+    torque = [[1e-9, 0, 0]]  # two fingers cannot balance it, but it is small enough for rounding
     forces = balancing_forces(points, normals, friction, [[0, 0, WEIGHT]], torque)
     least = WEIGHT / (n * 0.8 * friction)
     np.testing.assert_allclose(np.sum(forces * normals, axis=-1), least, rtol=1e-6)
@@ -46,7 +46,7 @@ def test_fingers_around_the_equator_squeeze_as_little_as_carries_the_weight(n, f
 def test_forces_exert_the_wrench_that_is_asked_for_at_every_time():
     rng = np.random.default_rng(3)
     angles = 2 * np.pi * np.arange(3) / 3 + 0.3 * rng.normal(size=(20, 3))
-    points, normals = ring(angles)[0][0], ring(angles)[1][0]
+    points, normals = (x[0] for x in contacts_at(angles))
     force = [0, 0, WEIGHT] + 0.1 * rng.normal(size=(20, 3))
     torque = 0.01 * rng.normal(size=(20, 3))
     forces = balancing_forces(points, normals, [0.4, 0.5, 0.6], force, torque, least=0.5)
@@ -66,15 +66,17 @@ def test_forces_exert_the_wrench_that_is_asked_for_at_every_time():
         ([0, np.pi], 0.5, (0.01, 0, 0), r"force of \(0, 0, 0\) N and a torque of \(-0.01, 0, 0\)"),
     ],
 )
-def test_contacts_that_cannot_balance_are_refused_with_what_is_left(angles, friction, torque, left):
-    points, normals = (np.tile(x, (2, 1, 1)) for x in ring(np.array(angles)))
+def test_contacts_that_cannot_hold_are_refused_with_what_is_unbalanced(
+    angles, friction, torque, left
+):
+    points, normals = (np.tile(x, (2, 1, 1)) for x in contacts_at(np.array(angles)))
     force, torque = [[0, 0, 0], [0, 0, WEIGHT]], [[0, 0, 0], torque]
     with pytest.raises(cs.SceneError, match=rf"^t = 0.3 s: .*{left}"):
         balancing_forces(points, normals, friction, force, torque, t=[0.2, 0.3])
 
 
-def test_normals_and_wrenches_have_the_sizes_that_are_asked_for():
-    points, normals = around(3)
+def test_normals_forces_friction_and_margin_of_wrong_size_are_refused():
+    points, normals = evenly_spaced_contacts(3)
     right = {"normals": normals, "friction": 0.5, "force": [[0, 0, WEIGHT]], "torque": [[0, 0, 0]]}
     for wrong, words in (
         *(({"normals": x * normals}, "give vectors of length 1") for x in (0.0, 0.5, np.nan)),
@@ -86,7 +88,7 @@ def test_normals_and_wrenches_have_the_sizes_that_are_asked_for():
             balancing_forces(points, **right | wrong)
 
 
-def test_needed_wrench_is_that_of_newton_and_euler():
+def test_the_needed_wrench_obeys_newtons_and_eulers_equations():
     turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])[None]  # O's x is the world's y
     body, down = SpatialInertia(2.0, np.zeros(3), UnitInertia(0.5, 1.0, 1.5)), [0, 0, -9.81]
     force, torque = needed_wrench(body, down, turned, [0, 2, 3, 0, 0, 0], [0.5, 0, 0, 0, 1, 0])
@@ -95,8 +97,8 @@ def test_needed_wrench_is_that_of_newton_and_euler():
     np.testing.assert_allclose(torque, [[0, 2 * -0.5 + 6 - 18, 0]], atol=1e-7)
 
 
-def held(**changes):
-    """Three free fingertips around the equator of a ball of 0.2 kg, contacts all but at rest."""
+def held_ball(**changes):
+    """A ball of 0.2 kg with three fingertips around its equator, which move hardly at all."""
     at = [(math.pi / 2, 2 * math.pi * i / 3) for i in range(3)]
     contacts = [cs.Contact(finger=cs.Sphere(0.02), object_at=x) for x in at]
     drake = {"object_mass": 0.2, "finger_mass": 0.05, "gravity": 9.81, **changes}
@@ -105,8 +107,8 @@ def held(**changes):
 
 
 @pytest.mark.parametrize("model", ["point", "hydroelastic"])
-def test_a_ball_is_held_where_gravity_is_on(model):
-    result = simulate(held(contact_model=model), duration=0.25)
+def test_three_fingers_hold_a_ball_against_gravity(model):
+    result = simulate(held_ball(contact_model=model), duration=0.25)
     found = object_report(result)
     assert found.moved < 1e-4 and found.turned < np.radians(0.1) and not found.falls
     assert (result.measured["normal_force"][1:] > 0).all()
@@ -117,9 +119,8 @@ def test_a_ball_is_held_where_gravity_is_on(model):
     assert "80% of the friction cones as planned" in told
 
 
-def test_an_object_is_held_wherever_its_mass_centre_is():
-    """In a user's own plant; the weight acts at the mass centre."""
-    scene, builder, center = held(), DiagramBuilder(), np.array([0.01, 0.0, 0.005])
+def test_forces_balance_the_weight_at_the_mass_centre_of_a_users_plant():
+    scene, builder, center = held_ball(), DiagramBuilder(), np.array([0.01, 0.0, 0.005])
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 1e-3)
     inertia = SpatialInertia.SolidSphereWithMass(0.2, 0.03).Shift(-center)
     bodies = [plant.AddRigidBody(name, inertia) for name in ("object", "a", "b", "c")]
@@ -130,7 +131,7 @@ def test_an_object_is_held_wherever_its_mass_centre_is():
     for name in ("body_poses", "body_spatial_velocities"):
         builder.Connect(plant.GetOutputPort(name), balancer.GetInputPort(name))
     context = balancer.GetMyContextFromRoot(builder.Build().CreateDefaultContext())
-    (points,), (normals,) = around(3)
+    (points,), (normals,) = evenly_spaced_contacts(3)
     both = np.hstack([points, points])  # on fingers, and on the object
     for name, values in (("contact_point", both), ("normal", -normals)):
         balancer.GetInputPort(name).FixValue(context, values.ravel())
@@ -144,29 +145,30 @@ def test_an_object_is_held_wherever_its_mass_centre_is():
 @pytest.mark.parametrize("force", [-0.5, 2.0])
 def test_a_ball_pushed_while_it_is_held_comes_back(force):
     push = {"on": "object", "start": 0.05, "stop": 0.1, "force": [0.0, 0.0, force]}
-    result = simulate(held(contact_model="point", pushes=[push]), duration=0.5)
+    result = simulate(held_ball(contact_model="point", pushes=[push]), duration=0.5)
     path = np.linalg.norm(result.object_pose[:, :3, 3], axis=1)
     assert path.max() > 2e-4 and path[-1] < 1e-4 and not object_report(result).falls
 
 
-def test_what_nothing_balances_is_refused_before_it_is_simulated():
-    scene = held().replace(contacts=held().contacts[:1])
+def test_an_object_that_its_contacts_cannot_hold_is_refused_before_the_simulation():
+    scene = held_ball().replace(contacts=held_ball().contacts[:1])
     with pytest.raises(cs.SceneError, match="^scene 'held': t = 0 s: no contact forces within 80%"):
         BuildStation(scene)
 
 
-def test_constant_forces_stay_as_they_are_and_let_the_object_fall_as_a_finger_does():
-    result = simulate(held(contact_model="point", forces="constant"), duration=0.1)
+def test_an_object_under_constant_forces_or_pushed_off_a_finger_is_reported_to_fall():
+    result = simulate(held_ball(contact_model="point", forces="constant"), duration=0.1)
     assert object_report(result).falls
     assert (result.planned["normal_force"] == 1.0).all()
     assert "nothing balances it" in " ".join(_printed(result, None))
     push = {"on": "contact 0", "start": 0.42, "stop": 1.0, "force": [20.0, 0.0, 0.0]}
-    assert object_report(simulate(held(contact_model="point", pushes=[push]), duration=0.5)).falls
+    pushed_off = simulate(held_ball(contact_model="point", pushes=[push]), duration=0.5)
+    assert object_report(pushed_off).falls
 
 
 def test_only_a_free_object_is_balanced():
     with pytest.raises(cs.SceneError, match='forces = "balance": the object is welded'):
-        StationConfig.from_scene(held(), object="welded", forces="balance")
-    assert not StationConfig.from_scene(held(), object="welded").balances
+        StationConfig.from_scene(held_ball(), object="welded", forces="balance")
+    assert not StationConfig.from_scene(held_ball(), object="welded").balances
     with pytest.raises(cs.SceneError, match="at time_step = 0 integrators take hours"):
-        StationConfig.from_scene(held(), time_step=0.0)
+        StationConfig.from_scene(held_ball(), time_step=0.0)

@@ -1,4 +1,4 @@
-"""The benchmarks' own arithmetic: what a bar, a ratio and a fresh scene mean."""
+"""The benchmarks' own arithmetic: bars, times at an error, ratios, scenes made anew."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from benchmarks.work_precision import Run, best, ratio, time_at  # noqa: E402
 
 
 @pytest.fixture(autouse=True)
-def threads(monkeypatch):
-    for name in THREADS:
-        monkeypatch.setenv(name, "1")  # as the command does, but not for the tests that follow
+def one_thread(monkeypatch):
+    for name in THREADS:  # the command sets them too, but would do so for all tests that follow
+        monkeypatch.setenv(name, "1")
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def threads(monkeypatch):
         (math.nan, False, False),
     ],
 )
-def test_a_bar_is_met_on_its_side_only_and_never_by_nan(measured, least, met):
+def test_a_bar_is_met_below_it_or_if_it_is_a_least_above_it_and_never_by_nan(measured, least, met):
     assert Bar("x", 1.5, measured, least=least).met is met
 
 
@@ -47,7 +47,7 @@ def test_time_at_an_error_is_interpolated_in_logarithms_along_the_best_runs():
     assert time_at(curve, 1e-3) == 1e-3
 
 
-def test_a_ratio_is_that_over_the_fastest_peer_that_reaches_the_error():
+def test_a_ratio_is_to_the_fastest_peer_that_reaches_the_error():
     curves = {"ours": [Run(1e-13, 1e-3)], "a": [Run(1e-13, 4e-3)], "b": [Run(1e-7, 1e-4)]}
     found = ratio(curves, 1e-9)
     assert (found.faster, found.rival) == (pytest.approx(4.0), "a")
@@ -57,7 +57,7 @@ def test_a_ratio_is_that_over_the_fastest_peer_that_reaches_the_error():
 
 
 @pytest.mark.parametrize("name", ["K4", "implicit"])
-def test_a_scene_made_anew_shares_no_part_and_moves_almost_alike(name):
+def test_a_scene_made_anew_shares_no_object_with_the_old_one_and_moves_almost_alike(name):
     scene = cs.load_scene(name)
     new = fresh.anew(scene)
     assert new.object is not scene.object and new.object != scene.object
@@ -73,7 +73,7 @@ def test_plans_without_slip_are_exact(output):
     assert problem.error(found) < 1e-14
 
 
-def test_every_peer_begins_where_the_truth_does_and_cvodes_goes_down_to_rounding():
+def test_every_peer_begins_at_the_reference_and_cvodes_runs_down_to_rounding():
     for problem in problems.problems():
         for peer in peers.peers(problem, full=False):
             assert list(peer.tolerances) == sorted(peer.tolerances, reverse=True)
@@ -91,7 +91,7 @@ def test_every_peer_begins_where_the_truth_does_and_cvodes_goes_down_to_rounding
         (["acuracy"], f"no part is called acuracy; use {PARTS[0]}"),
     ],
 )
-def test_what_does_not_exist_is_an_error_that_names_what_does(arguments, said, capsys):
+def test_an_unknown_part_or_section_is_refused_with_those_that_exist(arguments, said, capsys):
     with pytest.raises(SystemExit) as end:
         main(arguments)
     assert end.value.code == 2 and said in capsys.readouterr().err
@@ -103,7 +103,7 @@ def test_a_part_whose_package_is_missing_says_what_to_install(monkeypatch):
         main(["drake"])
 
 
-def test_a_section_prints_its_bars_and_misses_of_accuracy_make_the_exit_code(monkeypatch, capsys):
+def test_a_missed_bar_is_printed_and_that_of_accuracy_makes_the_exit_code_1(monkeypatch, capsys):
     monkeypatch.setattr("benchmarks.accuracy.SECTIONS", {"x": lambda full: [Bar("x", 1.0, 2.0)]})
     assert main(["accuracy"]) == 1
     assert "MISSED by 2 x" in capsys.readouterr().out

@@ -1,19 +1,17 @@
-"""The engine's library: what it is made of, which vectors it takes, who compiles it."""
+"""The engine's library: its sources, its vector instructions, its compiler."""
 
 from __future__ import annotations
 
 import os
 import platform
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from conftest import run_python
 
 from contact_system.engine import binding
 from contact_system.theory import generate
-
-ROOT = Path(__file__).parents[1]
 
 PLAN = """
 import contact_system as cs
@@ -28,46 +26,34 @@ for scene in (legs, *map(cs.load_scene, ("K2", "K4", "D1", "bowl", "chart", "imp
 """
 
 
-def in_a_process(program: str, **environment: str) -> str:
-    run = subprocess.run(
-        [sys.executable, "-c", program],
-        env={**os.environ, **environment},
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-    )
-    assert run.returncode == 0, run.stderr
-    return run.stdout
-
-
 @pytest.mark.skipif(platform.machine().lower() not in ("x86_64", "amd64"), reason="one variant")
-def test_wider_vectors_give_the_same_to_the_last_bit():
-    wide, *results = in_a_process(PLAN, CONTACT_SYSTEM_VECTORS="").splitlines()
-    narrow, *same = in_a_process(PLAN, CONTACT_SYSTEM_VECTORS="baseline").splitlines()
+def test_plans_are_the_same_to_the_last_bit_with_and_without_avx2():
+    wide, *results = run_python("-c", PLAN, CONTACT_SYSTEM_VECTORS="").splitlines()
+    narrow, *same = run_python("-c", PLAN, CONTACT_SYSTEM_VECTORS="baseline").splitlines()
     avx2 = "avx2" in Path("/proc/cpuinfo").read_text() if sys.platform == "linux" else wide == "v3"
     assert (wide, narrow) == ("v3" if avx2 else "baseline", "baseline")
     for one, other in zip(results, same, strict=True):
         assert one == other, one.split()[0]
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="libraries of ELF")
-def test_the_library_needs_libc_and_libm_alone():
-    # the names of needed libraries stand in the table of strings
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into an ELF file")
+def test_the_library_needs_no_other_library_than_libc_and_libm():
+    # the names of needed libraries are in the file's table of strings
     library = Path(binding.__file__).with_name("_engine.so").read_bytes()
     for stranger in (b"libmvec", b"libgomp", b"libgcc_s", b"libstdc++", b"libpython"):
         assert stranger not in library
 
 
-def test_pip_fetches_a_compiler_only_where_there_is_none(tmp_path):
+def test_pip_fetches_ziglang_only_where_there_is_no_c_compiler(tmp_path):
     pytest.importorskip("setuptools", "77")
     asked = "import sys; sys.path.insert(0, '.'); import setup; print(setup.ZIGLANG in "
     asked += "setup.get_requires_for_build_wheel(), setup.system_compiler() == ())"
     for path in (str(tmp_path), os.environ["PATH"]):
-        fetches, lacks = in_a_process(asked, PATH=path, CC="").split()[-2:]
+        fetches, lacks = run_python("-c", asked, PATH=path, CC="").split()[-2:]
         assert fetches == lacks
         assert path == os.environ["PATH"] or fetches == "True"
 
 
-def test_generated_files_are_those_that_the_symbols_give():
+def test_generated_c_is_what_the_generator_makes_of_the_equations_now():
     for file, text in generate.generated().items():
         assert (generate.FOLDER / file).read_text() == text, f"{file}: {generate.__doc__}"

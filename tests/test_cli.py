@@ -1,4 +1,4 @@
-"""The command line, run in this process."""
+"""The commands run, scenes and explain, in this process."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import Terminal
 
 import contact_system as cs
 from contact_system import cli
 
-DRAWN = ("K1", "C2")
+DRAWN = ("K1", "C2")  # scenes that are run with pictures, which take long
 
 
 def _run(*words: object) -> int:
     return cli.main([str(w) for w in words])
 
 
-def _fails(capsys, *words: object) -> str:
-    """The one line on stderr of a user's error."""
+def _error(capsys, *words: object) -> str:
+    """The one line on stderr of a command that must be refused."""
     assert _run(*words) == 2
     captured = capsys.readouterr()
     assert captured.err.startswith("contact-system: error: ")
@@ -31,7 +32,9 @@ def _fails(capsys, *words: object) -> str:
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
-def test_names_in_any_script_are_told_to_any_terminal(encoding, tmp_path, monkeypatch):
+def test_scenes_with_names_in_any_script_run_on_terminals_of_any_encoding(
+    encoding, tmp_path, monkeypatch
+):
     scene = cs.load_scene("C1").replace(name="球 ü")
     cs.save_scene(scene, tmp_path / "scene.toml")
     stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
@@ -46,7 +49,7 @@ def test_names_in_any_script_are_told_to_any_terminal(encoding, tmp_path, monkey
 
 
 @pytest.mark.parametrize("name", cs.bundled_scenes())
-def test_every_bundled_scene_runs(name, tmp_path, capsys):
+def test_every_bundled_scene_runs_and_writes_its_files(name, tmp_path, capsys):
     if name in DRAWN:
         pytest.importorskip("matplotlib")
     assert _run("run", name, "--out", tmp_path, *[] if name in DRAWN else ["--no-plots"]) == 0
@@ -57,6 +60,8 @@ def test_every_bundled_scene_runs(name, tmp_path, capsys):
     assert not any(x in out for x in ("\n\n\n", "Note: ", "e-21"))  # in K2 nothing slips at first
     scene = cs.load_scene(name)
     assert cs.load(tmp_path / f"{name}.npz").scene == scene
+    with np.load(tmp_path / f"{name}.npz") as data:
+        assert all(np.isfinite(data[x]).all() for x in ("states", "slip", "pose", "twist"))
     if scene.contacts[0].follows:  # the finger's curve is a great circle to rounding
         (line,) = [x for x in out.splitlines() if "great circle's plane" in x]
         assert max(float(w) for w in line.split() if "e-" in w) < 1e-12
@@ -71,14 +76,14 @@ def test_scenes_lists_all_with_their_descriptions(capsys):
         assert f"{name} " in out and description in out
 
 
-def test_run_and_explain_call_a_contact_without_a_name_alike(tmp_path, capsys):
+def test_run_and_explain_number_contacts_without_names_from_0(tmp_path, capsys):
     assert _run("run", "chart", "--no-plots", "--out", tmp_path) == 0 == _run("explain", "chart")
     out = capsys.readouterr().out
     assert "\ncontact 0  " in out and "\ncontact 0:\n" in out and "contact 1" not in out
 
 
 def test_run_notes_a_finger_that_is_too_large_for_its_bowl(tmp_path, capsys):
-    polar = "r*sin(u)*cos(v)", "r*sin(u)*sin(v)", "r*cos(u)"  # has its points twice, at u and -u
+    polar = "r*sin(u)*cos(v)", "r*sin(u)*sin(v)", "r*cos(u)"  # covers the sphere twice
     small = cs.ParametricSurface(polar, parameters={"r": 0.02}, size=0.02)
     fingers = [cs.Contact(finger, object_at=(1.0, 0.5)) for finger in (cs.Sphere(0.2), small)]
     bowl = {"object": cs.Sphere(0.1, inside=True), "profile": cs.Profile([0.1]), "duration": 1.0}
@@ -88,14 +93,15 @@ def test_run_notes_a_finger_that_is_too_large_for_its_bowl(tmp_path, capsys):
     assert "Note: contact 0: from t = 0 s on the bodies overlap" in out and out.count("Note: ") == 1
 
 
-def test_explain_tells_methods_and_contraction(capsys):
+def test_explain_prints_methods_and_contraction(capsys):
     assert _run("explain", "K4", "--eta", "300") == 0
     out = capsys.readouterr().out
     assert "closed form: great circle" in out and max(map(len, out.splitlines())) <= 80
-    assert "undisturbed slip shrinks over the whole" in out.replace("\n", " ")  # 200 is enough
+    # an eta of 200 would be enough
+    assert "undisturbed slip shrinks over the whole" in out.replace("\n", " ")
 
 
-def test_k1_shows_the_printed_law_beside_the_one_that_gives_the_printed_time(tmp_path, capsys):
+def test_run_of_k1_says_which_gain_law_reproduces_the_papers_recovery_time(tmp_path, capsys):
     assert _run("run", "K1", "--no-plots", "--out", tmp_path) == 0
     out = capsys.readouterr().out
     assert "Gain law 'path' with eta = 100 does not reproduce that time." in out
@@ -115,8 +121,8 @@ def test_run_without_matplotlib_still_writes_numbers(tmp_path, monkeypatch, caps
 
 def test_a_sample_time_at_a_pole_is_left_out_of_the_files(tmp_path, capsys):
     pytest.importorskip("matplotlib")
-    # One contact rolls over the pole at 0.1 m/s on a radius of 0.1 m, at t = 0.7 but for rounding.
-    # The other one's window starts at that very time and makes it a sample time.
+    # The first contact rolls over the pole at t = 0.7: 0.07 m on a radius of 0.1 m. The window on
+    # the second contact starts at that time and so makes it a sample time.
     pole = 0.7
     rolls = cs.Contact(cs.Plane(), (0.7, 0.3), (0, 0), finger_velocity=(-1, 0))
     common = {"object": cs.Sphere(0.1), "profile": cs.Profile([0.1]), "duration": 1}
@@ -140,17 +146,17 @@ def test_a_sample_time_at_a_pole_is_left_out_of_the_files(tmp_path, capsys):
 # --- what does not -----------------------------------------------------------------------------
 
 
-def test_mistakes_in_names_and_files_are_one_line(tmp_path, capsys):
-    assert "did you mean 'torus'" in _fails(capsys, "run", "tors")
+def test_mistakes_in_names_and_files_are_refused_in_one_line(tmp_path, capsys):
+    assert "did you mean 'torus'" in _error(capsys, "run", "tors")
     (tmp_path / "broken.toml").write_text('name = "x"\nduration = \n')
-    assert "broken.toml'?)" in _fails(capsys, "run", tmp_path / "broken")
-    assert "line 2" in _fails(capsys, "run", tmp_path / "broken.toml")
+    assert "broken.toml'?)" in _error(capsys, "run", tmp_path / "broken")
+    assert "line 2" in _error(capsys, "run", tmp_path / "broken.toml")
     cs.save_scene(cs.load_scene("K1"), tmp_path / "k.toml")
     text = (tmp_path / "k.toml").read_text().replace("duration", "duraton", 1)
     (tmp_path / "k.toml").write_text(text)
-    error = _fails(capsys, "explain", tmp_path / "k.toml")
+    error = _error(capsys, "explain", tmp_path / "k.toml")
     assert "'duraton' is unknown (did you mean 'duration'?)" in error
-    error = _fails(capsys, "run", "C1", "--no-plots", "--out", tmp_path / "k.toml")
+    error = _error(capsys, "run", "C1", "--no-plots", "--out", tmp_path / "k.toml")
     assert f"no folder '{tmp_path / 'k.toml'}': " in error and "another one with --out" in error
 
 
@@ -165,8 +171,8 @@ def test_mistakes_in_names_and_files_are_one_line(tmp_path, capsys):
         (["--gain", "path", "--eta", "inf"], "eta = inf"),
     ],
 )
-def test_wrong_numbers_are_one_line(words, said, tmp_path, capsys):
-    assert said in _fails(capsys, "run", "K1", "--out", tmp_path, *words)
+def test_wrong_numbers_are_refused_in_one_line(words, said, tmp_path, capsys):
+    assert said in _error(capsys, "run", "K1", "--out", tmp_path, *words)
 
 
 def test_a_run_that_is_interrupted_says_so_in_one_line(monkeypatch, capsys):
@@ -181,24 +187,20 @@ def test_a_run_that_is_interrupted_says_so_in_one_line(monkeypatch, capsys):
 # --- commands of other packages ----------------------------------------------------------------
 
 
-def _foreign(monkeypatch, name, load):
-    point = SimpleNamespace(name=name, load=load)
-    monkeypatch.setattr(cli, "entry_points", lambda group: [point] if group == cli.GROUP else [])
-
-
-def test_a_package_that_cannot_be_imported_is_a_hint(monkeypatch, capsys):
+def test_a_command_whose_package_cannot_be_imported_says_what_to_install(monkeypatch, capsys):
     def load():
         raise ImportError("No module named 'wings'\nand more")
 
-    _foreign(monkeypatch, "fly", load)
-    error = _fails(capsys, "fly", "--high")
+    point = SimpleNamespace(name="fly", load=load)
+    monkeypatch.setattr(cli, "entry_points", lambda group: [point] if group == cli.GROUP else [])
+    error = _error(capsys, "fly", "--high")
     assert "'fly'" in error and "No module named 'wings'; pip install" in error
     with pytest.raises(SystemExit) as stop:
         _run("--help")
     assert stop.value.code == 0 and "unavailable" in capsys.readouterr().out
 
 
-def test_the_version_is_told(capsys):
+def test_version_prints_the_packages_version(capsys):
     with pytest.raises(SystemExit) as stop:
         _run("--version")
     assert stop.value.code == 0 and capsys.readouterr().out == f"{cli.PROGRAM} {cs.__version__}\n"
@@ -207,13 +209,8 @@ def test_the_version_is_told(capsys):
 # --- progress ----------------------------------------------------------------------------------
 
 
-class _Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
 def test_progress_is_drawn_on_a_terminal_only_and_only_when_it_takes_long(monkeypatch):
-    terminal, pipe = _Terminal(), io.StringIO()
+    terminal, pipe = Terminal(), io.StringIO()
     monkeypatch.setattr(sys, "stderr", terminal)
     with cli.Progress(2, "quick"):
         pass
@@ -229,8 +226,8 @@ def test_progress_is_drawn_on_a_terminal_only_and_only_when_it_takes_long(monkey
     assert terminal.getvalue().endswith("\r\x1b[K")  # the line is left empty
 
 
-@pytest.mark.skipif(os.name == "nt", reason="Windows tells a reader's end in other ways")
-def test_a_closed_stdout_is_no_error_and_stops_no_work(tmp_path):
+@pytest.mark.skipif(os.name == "nt", reason="Windows reports a closed pipe in other ways")
+def test_a_closed_stdout_is_no_error_and_the_files_are_written(tmp_path):
     reads, writes = os.pipe()
     os.close(reads)
     command = [sys.executable, "-um", *"contact_system run K1 --no-plots --out".split(), tmp_path]
@@ -238,4 +235,4 @@ def test_a_closed_stdout_is_no_error_and_stops_no_work(tmp_path):
     os.close(writes)
     assert (ended.returncode, ended.stderr, len([*tmp_path.iterdir()])) == (0, b"", 2)
     ended = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *command], stderr=subprocess.PIPE)
-    assert (ended.returncode, ended.stderr) == (0, b"")  # nor is one that was never there
+    assert (ended.returncode, ended.stderr) == (0, b"")  # nor is stdout that was never open

@@ -1,4 +1,4 @@
-"""What CONTRIBUTING.md shows works as it is printed."""
+"""The examples of CONTRIBUTING.md work as they are printed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = np.linspace(0.0, 1.0, 21)
 
 @pytest.fixture
 def example(monkeypatch):
-    """Run the block of a section; what it registers is gone afterwards."""
+    """A function that runs a section's example; what it registers is removed after the test."""
     laws, kinds = dict(LAWS), list(DISTURBANCE_KINDS)
 
     def run(section: str) -> dict:
@@ -43,7 +43,7 @@ def scene(obj: cs.Surface = BALL, **others) -> cs.Scene:
     return cs.Scene(object=obj, contacts=[contact], **given)
 
 
-def test_a_surface_of_one_class_is_that_of_its_equation(example):
+def test_the_examples_surface_has_the_curvature_and_points_of_its_equation(example):
     bowl = example("A surface")["Paraboloid"](0.25)
     assert np.abs(bowl.curvature_form(0.0, 0.0) + 4.0 * np.eye(2)).max() < 1e-14
     points = cs.plan(scene(bowl)).points(T)[:, 0, 1]
@@ -51,7 +51,7 @@ def test_a_surface_of_one_class_is_that_of_its_equation(example):
     assert np.abs(level).max() < 1e-14
 
 
-def test_a_law_of_one_row_decays_as_its_integral_says(example):
+def test_under_the_examples_gain_law_slip_decays_by_its_integral(example):
     example("A gain law")
     plan = cs.plan(scene(gain=cs.Gain("speed", 20.0)))
     sigma, length = plan.scene.profile(T), plan.scene.profile.arc_length(T)
@@ -62,7 +62,7 @@ def test_a_law_of_one_row_decays_as_its_integral_says(example):
     assert "lam = eta sigma," in str(plan.scene.contraction())
 
 
-def test_a_kind_of_one_class_disturbs_and_is_read_from_files(example, tmp_path):
+def test_the_examples_kind_of_disturbance_acts_and_is_saved_in_files(example, tmp_path):
     drift = example("A disturbance")["ObjectDrift"]
     found, expected = (
         scene(disturbances=[kind("all", 0.2, 0.5, (0.3, -0.1))])

@@ -1,10 +1,9 @@
-"""The film of a simulation in a real browser: a screenshot has all that must be in it."""
+"""The film of a simulation in a real browser: curves, points, forces, names, colours are there."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import shutil
 import subprocess
 
 import numpy as np
@@ -16,11 +15,10 @@ pytest.importorskip("matplotlib")
 from matplotlib.image import imread
 
 import contact_system as cs
+from benchmarks.chromium import PROGRAM
 from contact_system.plots.style import COLOURS, DISTURBED
 from drake_plant import simulate
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
 WIDTH, HEIGHT = 320, 280
 EARLY, WHILE, AFTER = 0.05, 0.25, 0.35  # a disturbance acts from 0.1 to 0.3 s
 BODIES = "drake/film/bodies"
@@ -53,7 +51,7 @@ setTimeout(() => {
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
-    """D1, its disturbance early."""
+    """The film of D1 with a disturbance from 0.1 to 0.3 s."""
     scene, path = cs.load_scene("D1"), tmp_path_factory.mktemp("film") / "film.html"
     early = dataclasses.replace(scene.disturbances[0], start=0.1, stop=0.3)
     simulate(scene.replace(disturbances=[early], duration=0.4), recording=path)
@@ -61,24 +59,24 @@ def film(tmp_path_factory):
 
 
 def shots(film, wanted):
-    """Pictures (HEIGHT, WIDTH, 3) at times, with branches of the tree hidden, by the browser."""
+    """The browser's pictures (HEIGHT, WIDTH, 3), one for each (time, paths of things to hide)."""
     page, picture = film.with_name("shoot.html"), film.with_suffix(".png")
     script = SHOOT % (WIDTH, HEIGHT, json.dumps(wanted))
     page.write_text(film.read_text().replace("</body>", script))
     words = ["--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     words += ["--virtual-time-budget=4000", f"--window-size={WIDTH * len(wanted)},{HEIGHT}"]
-    command = [BROWSER, *words, f"--screenshot={picture}", page.as_uri()]
+    command = [PROGRAM, *words, f"--screenshot={picture}", page.as_uri()]
     subprocess.run(command, check=True, capture_output=True, timeout=300)
     return np.split(imread(picture)[..., :3], len(wanted), axis=1)
 
 
-def differ(picture, other):
+def differing_pixels(picture, other):
     """How many pixels differ."""
     return np.count_nonzero(np.abs(picture - other).max(axis=-1) > 0.1)
 
 
-def coloured(picture, colour):
-    """How many pixels have a hue, however light or dark."""
+def pixels_of_hue(picture, colour):
+    """How many pixels have the hue of a colour, however light or dark."""
     wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
     tints, tint = (w - w.mean(axis=-1, keepdims=True) for w in (picture, wanted))
     strength = np.linalg.norm(tints, axis=-1)
@@ -86,22 +84,23 @@ def coloured(picture, colour):
     return np.count_nonzero(alike & (strength > 0.15))
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium to look with: apt-get install chromium")
-def test_a_picture_of_the_film_has_all_that_must_be_seen(film):
+@pytest.mark.skipif(PROGRAM is None, reason="needs a browser: apt-get install chromium")
+def test_the_film_shows_curves_points_forces_names_and_the_disturbance(film):
     curves = THINGS["curves on the object"]
     wanted = [(WHILE, []), *((WHILE, paths) for paths in THINGS.values())]
     whole, *without, after, early, bare = shots(
         film, [*wanted, (AFTER, []), (EARLY, []), (EARLY, curves)]
     )
-    seen = {thing: differ(whole, other) for thing, other in zip(THINGS, without)}
+    seen = {thing: differing_pixels(whole, other) for thing, other in zip(THINGS, without)}
     assert min(seen.values()) > 30, seen
-    assert 0 < differ(early, bare) < 0.5 * seen["curves on the object"]  # they grow
+    # early in the film curves are short
+    assert 0 < differing_pixels(early, bare) < 0.5 * seen["curves on the object"]
     for colour in COLOURS[:3]:
-        assert min(coloured(whole, colour), coloured(after, colour)) > 200, colour
-    assert coloured(whole, DISTURBED) > 1000 > 100 > coloured(after, DISTURBED)
+        assert min(pixels_of_hue(whole, colour), pixels_of_hue(after, colour)) > 200, colour
+    assert pixels_of_hue(whole, DISTURBED) > 1000 > 100 > pixels_of_hue(after, DISTURBED)
 
 
-def test_the_page_tells_what_its_colours_mean(film):
+def test_the_films_page_has_a_legend_of_its_colours(film):
     simulate(cs.load_scene("D1"), duration=0.01, recording=(brief := film.with_name("brief.html")))
     for words in ("D1: Dynamic: three spheres", "finger 1: contact as measured", "planned"):
         assert words in film.read_text() and words in brief.read_text()

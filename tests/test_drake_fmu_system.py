@@ -1,4 +1,4 @@
-"""FmuSystem: an FMU of our own, of few lines of C, and exported planners, in Drake's Simulator."""
+"""FmuSystem in Drake's Simulator: a small FMU in C that is compiled here, and exported planners."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import sys
 import tempfile
 import weakref
 import zipfile
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ pytest.importorskip("pydrake")
 pytest.importorskip("fmpy")
 
 import fmpy
+from conftest import in_threads
 from fmu_hosts.blocks import columns
 from fmu_hosts.native import find_compiler
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
@@ -37,7 +37,9 @@ STEP = 0.125  # and its multiples are exact in binary
 U = np.array([1.0, -2.0])
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 
-# x' = gain u for two x, by one Euler step; counts its steps; what is `on` is handed through.
+# x' = gain u with x and u of two elements, by one Euler step a step; counts its steps; its Boolean
+# input `on` is also an output. `copies` is the number of FMU states that are not freed. At the step
+# whose number is `last` it asks to end the simulation; at -`last` a step of FMI 3 returns early.
 MODEL = r"""
 #include <stdio.h>
 #include <stdlib.h>
@@ -123,10 +125,12 @@ int F(GetInteger, GetInt32)(void* c, const Reference* r, size_t n, int* v COUNT)
     return 0;
 }
 int F(GetBoolean, GetBoolean)(void* c, const Reference* r, size_t n, Boolean* v COUNT) {
-    return *v = M.on, 0;
+    *v = M.on;
+    return 0;
 }
 int F(SetBoolean, SetBoolean)(void* c, const Reference* r, size_t n, const Boolean* v COUNT) {
-    return M.on = *v, 0;
+    M.on = *v;
+    return 0;
 }
 
 #if FMI == 2
@@ -135,7 +139,8 @@ void* fmi2Instantiate(const char* name, int kind, const char* guid, const char* 
     return make(guid, log, log->componentEnvironment);
 }
 int fmi2SetupExperiment(void* c, int a, double tolerance, double start, int b, double stop) {
-    return M.time = start, 0;
+    M.time = start;
+    return 0;
 }
 int fmi2EnterInitializationMode(void* c) { return 0; }
 int fmi2DoStep(void* c, double t, double h, int last) {
@@ -217,7 +222,7 @@ def description(version, interface):
 
 
 def source(version):
-    """One file of C with everything that fmpy looks up; what the model leaves out fails."""
+    """A C file with every function that fmpy looks up; those that the model has not return 3."""
     header = HEADERS / f"fmi{version[0]}FunctionTypes.h"
     names = re.findall(r"(fmi\d\w+)TYPE *\(", header.read_text())
     own = {pair[version == "3.0"] for pair in re.findall(r"F\((\w+), (\w+)\)", MODEL)}
@@ -227,7 +232,8 @@ def source(version):
 
 @pytest.fixture(scope="module")
 def build(tmp_path_factory):
-    """A function that makes the FMU; kept for equal arguments."""
+    """A function that makes the FMU, once for equal arguments: with state get and set (`keeps`),
+    with a reset that works (`reset`), with a binary for this platform (`binary`)."""
     compiler, made = find_compiler(), {}
     if compiler is None:
         pytest.skip("needs a C compiler")
@@ -279,18 +285,19 @@ def integrators(fmu, **options):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_structure_or_an_array_is_a_vector_in_either_version(build, version):
+def test_elements_of_an_array_make_one_port_in_either_version(build, version):
     outputs = {"x": "x", "rest": ["count", "time"], "gain": "gain", "none": []}
     system = FmuSystem(build(version), step=STEP, inputs={"rate": "u"}, outputs=outputs)
     names = {"x": ("x[1]", "x[2]"), "rest": ("count", "time"), "gain": ("gain",)}
     assert (system.input_names, system.output_names) == ({"rate": ("u[1]", "u[2]")}, names)
     start = {"x[1]": 2.0} if version == "2.0" else {"x": np.array([2.0, 0.0])}
-    system = integrators(build(version), start_values=start)  # and has values at once
+    system = integrators(build(version), start_values=start)
+    # outputs have values before a simulation
     assert values(system, system.CreateDefaultContext()).tolist() == [2.0, 0.0]
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_samples_are_those_of_the_model(build, version):
+def test_outputs_are_the_models_values_at_each_step_and_held_between(build, version):
     system = FmuSystem(build(version), step=STEP, start_values={"gain": 3.0})
     assert system.input_names == {"u": ("u[1]", "u[2]", "on")}
     assert system.output_names == {"y": ("time", "x[1]", "x[2]", "count", "was_on")}
@@ -303,12 +310,12 @@ def test_samples_are_those_of_the_model(build, version):
         t = k * STEP
         simulator.AdvanceTo(t)
         assert values(system, context, "y").tolist() == [t, 0.5 + 3 * t, -6 * t, k, 1]
-    simulator.AdvanceTo(t + 0.5 * STEP)  # held until the next sample
+    simulator.AdvanceTo(t + 0.5 * STEP)  # has made the step that begins at t
     assert values(system, context, "y")[0] == t + STEP
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_it_starts_at_the_time_of_the_context(build, version):
+def test_an_fmu_starts_at_the_time_of_the_context_if_it_is_a_multiple_of_the_step(build, version):
     system = FmuSystem(build(version), step=0.1, outputs="time")
     simulator = Simulator(system)
     context = simulator.get_mutable_context()
@@ -362,7 +369,7 @@ def test_the_fmu_may_end_the_simulation(build, version):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_contexts_are_independent(build, version):
+def test_contexts_of_one_system_have_their_own_states_of_the_fmu(build, version):
     system = integrators(build(version))
     first = connected(system)
     first.AdvanceTo(2 * STEP)
@@ -378,7 +385,7 @@ def test_contexts_are_independent(build, version):
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_threads_that_share_an_fmu_take_turns(build, version):
-    system, interval = integrators(build(version)), sys.getswitchinterval()
+    system = integrators(build(version))
 
     def run(speed):
         simulator = connected(system, [speed, -speed])
@@ -386,13 +393,8 @@ def test_threads_that_share_an_fmu_take_turns(build, version):
         return values(system, simulator.get_context()).tolist()
 
     speeds = (1.0, 2.0, 3.0, 4.0)
-    sys.setswitchinterval(1e-6)  # threads take turns after every few instructions
-    try:
-        with ThreadPoolExecutor(len(speeds)) as pool:
-            found = list(pool.map(run, speeds))
-    finally:
-        sys.setswitchinterval(interval)
-    assert found == [[0.5 + 200 * STEP * speed, -200 * STEP * speed] for speed in speeds]
+    ends = [[0.5 + 200 * STEP * speed, -200 * STEP * speed] for speed in speeds]
+    assert in_threads(run, speeds) == ends
 
 
 @pytest.mark.parametrize("options", ({}, {"keeps": False}, {"keeps": False, "reset": False}))
@@ -403,7 +405,7 @@ def test_a_simulation_can_be_run_again(build, version, options):
         simulator = connected(system)
         simulator.AdvanceTo(2 * STEP)
         assert values(system, simulator.get_context()).tolist() == [0.5 + 4 * STEP, -8 * STEP]
-    simulator.AdvancePendingEvents()  # which a Simulator that goes on from there would do too
+    simulator.AdvancePendingEvents()  # a Simulator of the Context's copy would do them again
     other = Simulator(system, simulator.get_context().Clone())
     if not options:
         other.AdvanceTo(4 * STEP)
@@ -411,11 +413,11 @@ def test_a_simulation_can_be_run_again(build, version, options):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_without_states_a_second_context_is_refused(build, version):
+def test_without_state_get_and_set_a_second_context_is_refused(build, version):
     system = integrators(build(version, keeps=False))
     first = connected(system)
     first.AdvanceTo(2 * STEP)
-    second = connected(system)  # takes the FMU
+    second = connected(system)  # has the FMU from here on
     second.AdvanceTo(STEP)
     message = r"cannot go to this Context's t = 0\.25 s: it is at t = 0\.125 s, and has no way back"
     with pytest.raises(cs.ContactSystemError, match=message):
@@ -431,14 +433,14 @@ def test_without_states_a_second_context_is_refused(build, version):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_everything_is_freed_with_the_system(build, version, tmp_path, monkeypatch):
+def test_a_systems_states_and_folder_are_freed_with_it(build, version, tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with pytest.raises(cs.ContactSystemError):
         FmuSystem(build(version), step=STEP, outputs="nothing")
     system = FmuSystem(build(version), step=STEP, outputs="copies")
     simulator = Simulator(system)
     simulator.AdvanceTo(100 * STEP)
-    assert values(system, simulator.get_context(), "y") <= 4  # copies of states are given back
+    assert values(system, simulator.get_context(), "y") <= 4  # of 100 steps' states
     gc.collect()
     assert len(list(tmp_path.iterdir())) == 1
     gone = weakref.ref(system)
@@ -470,7 +472,7 @@ def test_an_unknown_variable_is_refused_with_the_nearest(build):
             FmuSystem(build(), **{"step": STEP} | options)
 
 
-def test_fmus_that_cannot_run_here_are_refused_with_the_reason(build, tmp_path):
+def test_fmus_without_co_simulation_or_a_binary_for_this_platform_are_refused(build, tmp_path):
     (tmp_path / "no.fmu").write_text("no zip")
     for fmu, message in (
         (build(interface="ModelExchange"), "no co-simulation interface"),
@@ -486,8 +488,8 @@ def test_fmus_that_cannot_run_here_are_refused_with_the_reason(build, tmp_path):
         FmuSystem(build(), step=0.0)
 
 
-def strange(good, path, old="", new="", **members):
-    """The FMU with its description changed and members replaced, or added."""
+def changed_fmu(good, path, old="", new="", **members):
+    """A copy of an FMU with a text of its description replaced, and members replaced or added."""
     with zipfile.ZipFile(good) as archive:
         kept = {m: archive.read(m) for m in archive.namelist() if not m.endswith("/")}
     library = next(name for name in kept if "binaries/" in name)
@@ -499,7 +501,7 @@ def strange(good, path, old="", new="", **members):
     return path
 
 
-def test_fmus_of_strangers_are_refused_by_name_and_stay_in_their_folder(
+def test_a_malicious_fmu_is_refused_and_writes_nothing_outside_its_folder(
     build, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # where FMUs are unpacked
@@ -510,7 +512,7 @@ def test_fmus_of_strangers_are_refused_by_name_and_stay_in_their_folder(
         ({"old": "<ModelVariables>", "new": "<a>" * 10**5}, "is not one of FMI 2 or 3"),
         ({"../x": b"", "library": b"text"}, "failed at t = 0 s"),
     ):
-        path = strange(build("3.0"), tmp_path / "strange.fmu", **change)
+        path = changed_fmu(build("3.0"), tmp_path / "strange.fmu", **change)
         with pytest.raises(cs.ContactSystemError, match=f"strange.fmu.*{message}"):
             FmuSystem(path, step=STEP)
     assert not (tmp_path / "x").exists()
@@ -523,18 +525,18 @@ def test_an_fmu_unpacks_to_no_more_than_a_limit(build, monkeypatch):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_failing_step_says_what_the_fmu_says(build, version):
+def test_the_error_of_a_failing_step_has_the_fmus_own_message(build, version):
     system = integrators(build(version), start_values={"limit": 0.7}, instance_name="tank")
     simulator = connected(system)
     message = r"^tank: a step of 0\.125 s failed at t = 0\.125 s: .*\(error\).* It says: x\[1\] = "
-    for _ in range(2):  # goes back to where it was and fails again
+    for _ in range(2):  # the second time from the state before the step that failed
         simulator.Initialize()
         with pytest.raises(cs.ContactSystemError, match=message + r"0\.75 is above limit = 0\.7$"):
             simulator.AdvanceTo(10.0)
-    simulator = connected(system)  # and it is not lost
+    simulator = connected(system)  # the system can be used again
     simulator.AdvanceTo(STEP)
     assert values(system, simulator.get_context())[0] == 0.5 + STEP
-    if version == "3.0":  # without asking for the end of the simulation
+    if version == "3.0":  # an early return is an error, unless the FMU asks to end the simulation
         system = integrators(build(version), start_values={"last": -2.0}, instance_name="tank")
         words = r"^tank: a step of 0\.125 s failed at t = 0\.125 s: fmi3DoStep, early return"
         with pytest.raises(cs.ContactSystemError, match=words):
@@ -542,7 +544,7 @@ def test_a_failing_step_says_what_the_fmu_says(build, version):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_inputs_that_a_variable_cannot_take_are_refused(build, version):
+def test_inputs_that_are_nan_or_not_boolean_are_refused_by_name(build, version):
     system = FmuSystem(build(version), step=STEP)
     simulator = Simulator(system)
     for u, message in (
@@ -554,7 +556,7 @@ def test_inputs_that_a_variable_cannot_take_are_refused(build, version):
             simulator.Initialize()
 
 
-def test_fmpy_hears_what_other_fmus_say_when_a_system_is_gone(tmp_path, capfd):
+def test_fmpy_still_logs_messages_of_other_fmus_after_a_system_is_gone(tmp_path, capfd):
     file = export_fmu(cs.load_scene("K2"), tmp_path / "K2.fmu", fmi_version="2.0")
     FmuSystem(file, step=0.1)
     gc.collect()
@@ -567,8 +569,9 @@ def test_fmpy_hears_what_other_fmus_say_when_a_system_is_gone(tmp_path, capfd):
 
 
 @pytest.mark.parametrize("kind", [np.array, list])
-def test_the_start_value_of_a_matrix_is_one(kind, tmp_path):
-    file = export_fmu(cs.load_scene("K2"), tmp_path / "K2.fmu", "3.0", arrays=True, measured="pose")
+def test_the_start_value_of_a_matrix_is_given_as_a_matrix(kind, tmp_path):
+    given = {"fmi_version": "3.0", "arrays": True, "measured": "pose"}
+    file = export_fmu(cs.load_scene("K2"), tmp_path / "K2.fmu", **given)
     name, rotation = "contact[1].measured.pose.rotation", [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
     system = FmuSystem(file, step=0.1, outputs=name, start_values={name: kind(rotation)})
     assert values(system, system.CreateDefaultContext(), "y").tolist() == sum(rotation, [])
@@ -576,9 +579,11 @@ def test_the_start_value_of_a_matrix_is_one(kind, tmp_path):
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    """A scene with a window, off the samples, and its FMU of each version."""
-    push = cs.FingerAcceleration(0, 0.1013, 0.1577, (-50.0, 30.0))
-    scene = cs.load_scene("D1").replace(disturbances=[push], duration=0.5)
+    """A scene whose window's edges lie between steps, and its FMU of each version."""
+    scene = cs.load_scene("D1")
+    scene = scene.replace(
+        disturbances=[cs.FingerAcceleration(0, 0.1013, 0.1577, (-50.0, 30.0))], duration=0.5
+    )
     folder = tmp_path_factory.mktemp("planner")
     return scene, {v: export_fmu(scene, folder / f"planner{v}.fmu", v) for v in VERSIONS}
 
@@ -618,7 +623,7 @@ def test_the_exported_planner_moves_as_the_planner_in_the_same_diagram(
         assert np.abs(found - planned)[:, first:].max() <= 1e-9
 
 
-def test_without_fmpy_the_error_says_what_to_install_and_all_else_is_there(monkeypatch):
+def test_without_fmpy_importing_fmu_system_says_what_to_install_and_the_rest_works(monkeypatch):
     monkeypatch.setitem(sys.modules, "fmpy", None)
     monkeypatch.delitem(sys.modules, "drake_plant.fmu_system")
     with pytest.raises(ImportError, match=re.escape('pip install "contact-system[fmu]"')):

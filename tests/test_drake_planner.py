@@ -1,19 +1,17 @@
-"""ContactPlanner: Drake's integrators on contact_system's equations give what plan() gives."""
+"""ContactPlanner and PlanSource in Drake: Simulators move contacts as plan() does."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import pickle
-import sys
-from concurrent.futures import ThreadPoolExecutor
 
-import casadi as ca
 import numpy as np
 import pytest
 
 pytest.importorskip("pydrake")
 
+from conftest import in_threads
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.common import Parallelism
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -66,7 +64,7 @@ def simulator(planner, scheme="runge_kutta3", step=1e-3, accuracy=None, start=0.
 
 
 def run(planner, until, *arguments, **options):
-    """The context after a simulation."""
+    """The Context after a simulation until that time."""
     found = simulator(planner, *arguments, **options)
     found.AdvanceTo(until)
     return found.get_context()
@@ -79,16 +77,16 @@ def error(planner, context, plan=None):
     return np.linalg.norm(points - plan.points(context.get_time())[0], axis=-1).max()
 
 
-def plain(value):
-    """The value of any of Drake's scalars as a float."""
+def to_float(value):
+    """The float of a number of any scalar type of Drake's."""
     for ask in ("value", "Evaluate"):
         value = getattr(value, ask)() if hasattr(value, ask) else value
     return float(value)
 
 
-def pole_scene(miss=0.0, profile=(0.1,), duration=2.0):
-    """A finger that runs towards its pole."""
-    velocity = (np.cos(miss), np.sin(miss))
+def pole_scene(aside=0.0, profile=(0.1,), duration=2.0):
+    """A finger whose contact point moves towards its pole, or by an angle past it."""
+    velocity = (np.cos(aside), np.sin(aside))
     contact = cs.Contact(cs.Sphere(0.04), object_at=(1.2, 0.3), finger_velocity=velocity)
     return cs.Scene(
         name="pole",
@@ -103,8 +101,7 @@ def pole_scene(miss=0.0, profile=(0.1,), duration=2.0):
 
 
 @pytest.mark.parametrize("scheme", ORDERS)
-def test_every_scheme_converges_at_its_order(scheme):
-    # with a window from 0.1 s to 0.15 s
+def test_every_scheme_converges_at_its_order_across_a_window(scheme):
     planner = ContactPlanner(cs.load_scene("K3"), tolerance=1.0)
     coarse, fine = (error(planner, run(planner, 0.4, scheme, h)) for h in (4e-3, 2e-3))
     assert np.log2(coarse / fine) > ORDERS[scheme] - 0.2
@@ -130,8 +127,8 @@ def test_no_step_crosses_an_edge_of_a_window(coordinates):
 # --- steps that are too long ---------------------------------------------------------------------
 
 
-def stiff(name, eta, law="time"):
-    return cs.load_scene(name).replace(gain=cs.Gain(law, eta))
+def scene_under_gain(name, eta):
+    return cs.load_scene(name).replace(gain=cs.Gain.time(eta))
 
 
 @pytest.mark.parametrize(
@@ -140,8 +137,8 @@ def stiff(name, eta, law="time"):
         (cs.load_scene("K4"), "chart", "runge_kutta3", 0.1),
         (cs.load_scene("K1"), "chart", "explicit_euler", 0.1),
         (cs.load_scene("K1"), "chart", "radau1", 0.1),
-        (stiff("K4", 1e6), "frame", "explicit_euler", 0.1),
-        (stiff("K1", 1e9), "chart", "runge_kutta5", 0.01),
+        (scene_under_gain("K4", 1e6), "frame", "explicit_euler", 0.1),
+        (scene_under_gain("K1", 1e9), "chart", "runge_kutta5", 0.01),
     ],
 )
 def test_steps_too_long_for_a_scheme_are_refused_with_a_remedy(scene, coordinates, scheme, step):
@@ -150,7 +147,7 @@ def test_steps_too_long_for_a_scheme_are_refused_with_a_remedy(scene, coordinate
         run(planner, min(scene.duration, 2.5), scheme, step)
 
 
-def test_error_control_that_is_too_lenient_is_refused_with_the_remedy():
+def test_error_control_of_too_little_accuracy_is_refused_with_the_remedy():
     planner = ContactPlanner(cs.load_scene("D1"), restart_distance=0.01)
     found = simulator(planner, "runge_kutta3", 0.1, accuracy=1e-3)
     measured = cs.plan(planner.system.scene).states(0.0)[0]
@@ -163,13 +160,13 @@ def test_error_control_that_is_too_lenient_is_refused_with_the_remedy():
 @pytest.mark.parametrize("eta", (1e3, 1e6, 1e9))
 @pytest.mark.parametrize("scheme", ("radau3", "implicit_euler"))
 def test_implicit_schemes_take_long_steps_however_stiff_the_gain(scheme, eta):
-    planner = ContactPlanner(stiff("K4", eta), "frame", tolerance=0.1)
+    planner = ContactPlanner(scene_under_gain("K4", eta), "frame", tolerance=0.1)
     assert error(planner, run(planner, 1.5, scheme, 0.01)) < 0.02
 
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
 def test_a_simulation_may_begin_with_other_speeds_than_the_scene_has(coordinates):
-    """Limits of slip and speed follow from where a simulation begins."""
+    """Steps are checked by the exact law of slip from that state on."""
     planner = ContactPlanner(cs.load_scene("K2"), coordinates)
     plan = cs.plan(planner.system.scene, 1e-13)
     faster = plan.states(0.2)[0]
@@ -185,14 +182,14 @@ def test_a_simulation_may_begin_with_other_speeds_than_the_scene_has(coordinates
 
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
-def test_a_state_set_on_the_way_needs_another_initialization(coordinates):
+def test_a_state_set_in_a_simulation_is_refused_without_another_initialize(coordinates):
     planner = ContactPlanner(cs.load_scene("K2"), coordinates)
     plan = cs.plan(planner.system.scene, 1e-13)
     faster = plan.states(0.2)[0]
     faster[:, [2, 3, 6, 7]] *= 3.0
     found = simulator(planner, "runge_kutta5")
     found.AdvanceTo(0.2)
-    run(planner, 0.4, "runge_kutta5")  # another Context, which is not looked at in this one's place
+    run(planner, 0.4, "runge_kutta5")  # another Context, which must not be taken for this one
     found.get_mutable_context().SetContinuousState(planner.system.from_states(0.2, faster)[0])
     with pytest.raises(cs.SceneError, match=r"another state .* call Simulator\.Initialize\(\)"):
         found.AdvanceTo(0.3)
@@ -212,7 +209,7 @@ def test_cenic_which_does_not_control_a_planners_error_is_refused():
             found.AdvanceTo(0.5)
 
 
-# --- a planner without states --------------------------------------------------------------------
+# --- PlanSource, a planner without states --------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -222,7 +219,7 @@ def test_cenic_which_does_not_control_a_planners_error_is_refused():
         *((name, "frame") for name in ("K4", "D1", "C1", "torus", "chart", "implicit", "R1")),
     ],
 )
-def test_a_plan_source_says_what_an_integrated_planner_says(name, coordinates):
+def test_the_outputs_of_a_plan_source_are_those_of_an_integrated_planner(name, coordinates):
     scene = cs.load_scene(name)
     planner, source = ContactPlanner(scene, coordinates), PlanSource(cs.plan(scene))
     until = 1.01 * planner.system.edges[0] if planner.system.edges else 0.3
@@ -233,7 +230,7 @@ def test_a_plan_source_says_what_an_integrated_planner_says(name, coordinates):
             system.GetOutputPort(port).Eval(context)
             for system, context in ((source, asked), (planner, integrated))
         )
-        if port == "slip":  # a triaxial ellipsoid's frames may be turned by half a turn
+        if port == "slip":  # a triaxial ellipsoid's frames may differ by half a turn
             found, wanted = np.abs(found), np.abs(wanted)
         assert np.abs(found - wanted).max() < 1e-9 * max(1.0, np.abs(wanted).max()), port
     for system, context, bar in ((source, asked, 1e-14), (planner, integrated, 1e-8)):
@@ -241,14 +238,14 @@ def test_a_plan_source_says_what_an_integrated_planner_says(name, coordinates):
         assert max(np.abs(x.GetAsMatrix4() - y).max() for x, y in zip(X, Y)) < bar
     state = source.GetOutputPort("state").Eval(asked)
     assert np.array_equal(state.reshape(-1, 9), cs.plan(scene).states(until)[0])
-    if name == "D1":  # whose frames are turned by no half turns
+    if name == "D1":  # a sphere, whose frames do not differ
         off = planner.GetOutputPort("state").Eval(integrated).reshape(3, 9) - state.reshape(3, 9)
         off[:, [0, 1, 4, 5, 8]] = np.sin(off[:, [0, 1, 4, 5, 8]] / 2)  # but for whole turns
         assert np.abs(off).max() < 1e-6
 
 
-def test_windows_act_from_their_edges_on_in_every_system_of_a_plan():
-    offset = cs.ObjectRateOffset(0, 0.0, 0.4, (1, 0))  # from the start on
+def test_a_window_that_begins_at_the_start_acts_in_a_planner_and_a_plan_source():
+    offset = cs.ObjectRateOffset(0, 0.0, 0.4, (1, 0))
     plan = cs.plan(cs.load_scene("K1").replace(disturbances=[offset]))
     planner, source = ContactPlanner(plan.scene), PlanSource(plan)
     assert error(planner, run(planner, 0.6, "runge_kutta5"), plan) < 1e-9
@@ -259,7 +256,7 @@ def test_windows_act_from_their_edges_on_in_every_system_of_a_plan():
         assert np.allclose(slip, plan.slip(t)[0], atol=1e-12)
 
 
-def test_a_plan_source_refuses_other_plans_and_times_outside_its_own():
+def test_a_plan_source_refuses_other_things_than_plans_and_times_outside_its_horizon():
     scene = cs.load_scene("K1")
     with pytest.raises(cs.ContactSystemError, match="give a Plan, such as plan"):
         PlanSource(scene)
@@ -293,14 +290,14 @@ def test_trajectories_follow_the_plan_and_can_be_pickled(name):
                 assert np.array_equal(one.value(time), other.value(time))
 
 
-def test_trajectories_of_many_turns_do_not_skip_them():
+def test_a_trajectory_of_many_turns_makes_all_of_them():
     profile = {"profile": cs.Profile([0.8]), "duration": 3.2 * np.pi}  # 128 turns
     ball = cs.Contact(cs.Sphere(0.01), object_at=(0.0, 0.0))
     made = MakeTrajectories(cs.plan(cs.Scene(object=cs.Plane(), contacts=[ball], **profile)))
     assert np.linalg.norm(made.pose.GetVelocity(1.0)[:3]) == pytest.approx(80.0, rel=1e-3)
 
 
-def test_trajectories_of_what_is_not_there_are_refused():
+def test_trajectories_of_a_missing_contact_or_of_too_many_pieces_are_refused():
     plan = cs.plan(cs.load_scene("K1"))
     with pytest.raises(cs.SceneError, match="contact = 3: give one of 0 to 2"):
         MakeTrajectories(plan, 3)
@@ -313,18 +310,13 @@ def test_trajectories_of_what_is_not_there_are_refused():
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
 def test_threads_share_a_planner_with_a_context_each(coordinates):
-    planner, interval = ContactPlanner(cs.load_scene("K3"), coordinates), sys.getswitchinterval()
+    planner = ContactPlanner(cs.load_scene("K3"), coordinates)
     plan = cs.plan(planner.system.scene, 1e-13)
-    sys.setswitchinterval(1e-6)  # threads take turns after every few instructions
-    try:
-        with ThreadPoolExecutor(3) as pool:
-            ends = list(pool.map(lambda t: run(planner, t, "runge_kutta5"), (0.12, 0.16, 0.2)))
-    finally:
-        sys.setswitchinterval(interval)
+    ends = in_threads(lambda t: run(planner, t, "runge_kutta5"), (0.12, 0.16, 0.2))
     assert max(error(planner, context, plan) for context in ends) < 1e-9
 
 
-def test_drake_evaluates_batches_without_the_lock_of_python():
+def test_a_batch_evaluated_by_drake_in_two_threads_is_the_planners_derivatives():
     planner = ContactPlanner(cs.load_scene("K3"))
     context, times = run(planner, 0.1), np.linspace(0.0, 0.2, 20)
     x, no_input = context.get_continuous_state_vector().CopyToVector(), np.zeros((0, 20))
@@ -360,7 +352,7 @@ def test_the_disturbance_port_acts_like_a_window(coordinates):
 
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
-def test_every_scalar_knows_the_windows_without_a_simulator(coordinates):
+def test_derivatives_of_every_scalar_type_have_the_windows_without_a_simulator(coordinates):
     planner = ContactPlanner(cs.load_scene("K4"), coordinates)  # with windows from 1 s to 2 s
     system, context = planner.system, planner.CreateDefaultContext()
     others = [planner.ToAutoDiffXd(), planner.ToSymbolic()]
@@ -373,7 +365,7 @@ def test_every_scalar_knows_the_windows_without_a_simulator(coordinates):
             found = other.CreateDefaultContext()
             found.SetTimeStateAndParametersFrom(context)
             values = other.EvalTimeDerivatives(found).CopyToVector().ravel()
-            rates.append([plain(v) for v in values])
+            rates.append([to_float(v) for v in values])
         assert np.allclose(rates, expected, rtol=1e-10, atol=1e-10)
 
 
@@ -428,7 +420,7 @@ def test_a_disturbance_and_a_restart_act_on_contacts_with_legs():
     scene = steered(disturbances=[window])
     measured = cs.plan(scene).states(1.8)[0]
     measured[:, [0, 4, 8]] += 0.05
-    for period, count in ((1.8, 1), (1.0, 0)):  # at corners contacts rest, and keep their plan
+    for period, count in ((1.8, 1), (1.0, 0)):  # at 1.0 and 2.0 s contacts rest: no restart
         planner = ContactPlanner(scene, restart_period=period)
         found = simulator(planner, "runge_kutta5", 1e-2, 1e-11)
         port = planner.GetInputPort("measured_state")
@@ -440,7 +432,7 @@ def test_a_disturbance_and_a_restart_act_on_contacts_with_legs():
         assert error(planner, found.get_context(), plan) < 2e-8  # of a restart 1e-9 s early
 
 
-def test_autodiff_turns_corners_too():
+def test_simulations_with_autodiff_turn_corners_too():
     planner = ContactPlanner(steered(), tolerance=1.0)
     other = planner.ToAutoDiffXd()
     found = Simulator_[AutoDiffXd](other)
@@ -450,14 +442,15 @@ def test_autodiff_turns_corners_too():
     found.AdvanceTo(1.1)
     wanted = run(planner, 1.1, step=0.05)
     x = context.get_continuous_state_vector().CopyToVector().ravel()
-    assert np.allclose([plain(v) for v in x], wanted.get_continuous_state_vector().CopyToVector())
+    wanted = wanted.get_continuous_state_vector().CopyToVector()
+    assert np.allclose([to_float(v) for v in x], wanted)
 
 
 # --- other scalars -------------------------------------------------------------------------------
 
 
-def prepared(name, coordinates):
-    """A planner, and a context with arbitrary state and time."""
+def disturbed_planner(name, coordinates):
+    """A planner and a Context with a disturbance, at a random state near the start."""
     planner = ContactPlanner(cs.load_scene(name), coordinates, disturbance_input=True)
     context = planner.CreateDefaultContext()
     random = np.random.default_rng(1)
@@ -468,8 +461,8 @@ def prepared(name, coordinates):
     return planner, context
 
 
-def differentiated(planner, context):
-    """The same with derivatives along the continuous state."""
+def with_derivatives(planner, context):
+    """The planner and its Context of AutoDiffXd, with derivatives along the continuous state."""
     other = planner.ToAutoDiffXd()
     found = other.CreateDefaultContext()
     found.SetTimeStateAndParametersFrom(context)
@@ -482,9 +475,9 @@ def differentiated(planner, context):
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
 @pytest.mark.parametrize("name", ("K1", "K3"))
-def test_every_scalar_gives_the_same_numbers_and_autodiff_their_derivatives(name, coordinates):
-    planner, context = prepared(name, coordinates)
-    other, found = differentiated(planner, context)
+def test_autodiff_gives_the_same_numbers_and_the_right_derivatives(name, coordinates):
+    planner, context = disturbed_planner(name, coordinates)
+    other, found = with_derivatives(planner, context)
     for port in VALUES:
         expected = planner.GetOutputPort(port).Eval(context)
         value = ExtractValue(other.GetOutputPort(port).Eval(found).reshape(-1, 1)).ravel()
@@ -510,7 +503,7 @@ def test_every_scalar_gives_the_same_numbers_and_autodiff_their_derivatives(name
 @pytest.mark.parametrize("coordinates", COORDINATES)
 @pytest.mark.parametrize("name", ("K1", "K3"))
 def test_symbolic_derivatives_evaluate_to_the_numbers(name, coordinates):
-    planner, context = prepared(name, coordinates)
+    planner, context = disturbed_planner(name, coordinates)
     symbolic = planner.ToSymbolic()
     found, t = symbolic.CreateDefaultContext(), Variable("t")
     x = context.get_continuous_state_vector().CopyToVector()
@@ -527,14 +520,7 @@ def test_symbolic_derivatives_evaluate_to_the_numbers(name, coordinates):
     assert np.abs(values - expected).max() <= 1e-13 * np.abs(expected).max()
 
 
-def test_an_operation_that_the_engine_lacks_is_named():
-    bell = cs.ParametricSurface(lambda u, v: (u, v, ca.cos(v + 0.1 * ca.erf(v))), size=0.25)
-    contact, profile = cs.Contact(cs.Sphere(0.04), object_at=(0.4, -0.3)), cs.Profile([0.1])
-    with pytest.raises(cs.ContactSystemError, match="operation OP_ERF .* write the surface"):
-        cs.Scene(object=bell, contacts=[contact], profile=profile, duration=1.0)
-
-
-def test_collocation_where_sigma_is_constant_ends_where_the_plan_does():
+def test_direct_collocation_of_a_constant_profile_ends_where_the_plan_does():
     scene = cs.load_scene("K1").replace(profile=cs.Profile([0.1]), gain=cs.Gain.time(5.0))
     planner = ContactPlanner(scene, "frame", disturbance_input=True)
     port, start = planner.GetInputPort("disturbance"), planner.system.x0
@@ -564,7 +550,7 @@ NOT_NUMBERS = {
 
 @pytest.mark.parametrize("what", NOT_NUMBERS)
 @pytest.mark.parametrize("coordinates", COORDINATES)
-def test_what_is_not_a_number_is_refused_by_name(coordinates, what):
+def test_nan_in_disturbance_state_or_time_is_refused_by_name(coordinates, what):
     planner = ContactPlanner(cs.load_scene("K1"), coordinates, disturbance_input=True)
     found = simulator(planner)
     context, w = found.get_mutable_context(), np.zeros(18)
@@ -576,7 +562,7 @@ def test_what_is_not_a_number_is_refused_by_name(coordinates, what):
     if what == "time":
         context.SetTime(math.nan)
     asks = [lambda: planner.EvalTimeDerivatives(context)]
-    if what == "state" and coordinates == "chart":  # it is u2 of contact 2
+    if what == "state" and coordinates == "chart":  # u2 of contact 2, which outputs depend on
         asks += [lambda p=p: planner.GetOutputPort(p).Eval(context) for p in (*VALUES, "pose")]
     if what != "time":
         asks += [lambda: found.AdvanceTo(0.1)]
@@ -589,13 +575,13 @@ def test_what_is_not_a_number_is_refused_by_name(coordinates, what):
 
 
 @pytest.mark.parametrize("options", ({}, {"step": 0.1, "accuracy": 1e-6}, {"scheme": "radau3"}))
-def test_a_chart_near_its_pole_is_refused_with_the_remedy(options):
+def test_a_chart_near_its_pole_is_refused_and_frame_coordinates_are_named(options):
     message = "scene 'pole', contact 0, finger: at t = 0.62.*a pole.*coordinates=\"frame\""
     with pytest.raises(cs.ChartSingularity, match=message):
         run(ContactPlanner(pole_scene(0.001)), 1.5, **options)
 
 
-def test_a_later_start_wants_the_state_of_that_time():
+def test_a_simulation_that_starts_later_needs_the_state_of_that_time():
     for scene in map(cs.load_scene, ("R1", "K4")):
         late = Simulator(ContactPlanner(scene))
         late.get_mutable_context().SetTime(1.5)
@@ -606,9 +592,8 @@ def test_a_later_start_wants_the_state_of_that_time():
     late.Initialize()
 
 
-def test_a_scene_that_starts_at_rest_is_watched_once_it_moves():
-    """In the scene bowl sigma(0) = 0, and an acceleration acts later, so that slip is a state."""
-    scene = cs.load_scene("bowl")
+def test_too_long_steps_are_refused_also_in_a_scene_that_starts_at_rest():
+    scene = cs.load_scene("bowl")  # sigma(0) = 0; slip is integrated, as an acceleration acts later
     planner = ContactPlanner(scene, "frame")
     assert error(planner, run(planner, 2.0, "runge_kutta5")) < 1e-9
     stiff = ContactPlanner(scene.replace(gain=cs.Gain.path(1e7)), "frame")
@@ -635,7 +620,7 @@ def test_beyond_the_horizon_the_motion_goes_on_until_sigma_turns_negative(coordi
         ({"coordinates": "frames"}, "'frames' is unknown .*'frame'.*use one of chart, frame"),
     ],
 )
-def test_wrong_options_are_refused(options, message):
+def test_options_of_wrong_value_are_refused(options, message):
     with pytest.raises(cs.SceneError, match=message):
         ContactPlanner(cs.load_scene("K1"), **options)
     for make, wrong in ((ContactPlanner, "K4"), (BuildStation, "K4")):

@@ -1,4 +1,4 @@
-"""The station: fingers driven as planned, contact physics, closed loop, configuration."""
+"""Stations: fingers driven as planned in contact physics, slip feedback, start, configuration."""
 
 import dataclasses
 import gc
@@ -47,22 +47,11 @@ def config(scene, **changes):
     return StationConfig.from_scene(scene, **{"contact_model": "point", **changes})
 
 
-def early(name, start=0.2, stop=0.4, duration=0.6):
+def disturbed_early(name, start, stop, duration):
     """A bundled scene with its disturbance soon after the start."""
     scene = cs.load_scene(name)
     windows = [dataclasses.replace(d, start=start, stop=stop) for d in scene.disturbances]
     return dataclasses.replace(scene, disturbances=windows, duration=duration)
-
-
-@pytest.fixture(scope="module")
-def disturbed():
-    scene = early("D1")
-    return simulate(scene, config(scene))
-
-
-def speed(result):
-    """sigma, the speed of the contact point on the object."""
-    return result.scene.profile(result.t)
 
 
 def lengths(result, name):
@@ -73,30 +62,7 @@ def between(result, start, stop):
     return (result.t > start) & (result.t < stop)
 
 
-def test_point_contact_presses_with_one_newton_and_follows_the_plan_without_friction(disturbed):
-    before = between(disturbed, 0.1, 0.2)
-    force = disturbed.measured["normal_force"][before]
-    assert abs(force.mean(axis=0) - 1).max() < 0.01 and force.std(axis=0).max() < 0.01
-    slip, friction = lengths(disturbed, "slip"), lengths(disturbed, "tangential_force")
-    assert (slip[before] / speed(disturbed)[before, None]).mean() < 1e-4
-    assert friction[before].mean() < 0.01
-    miss = disturbed.measured["contact_point"] - disturbed.planned["contact_point"]
-    assert np.linalg.norm(miss[between(disturbed, 0.0, 0.2)], axis=-1).max() < 2e-4
-
-
-def test_an_offset_makes_one_finger_slide_under_mu_and_is_gone_ten_milliseconds_later(disturbed):
-    slip, friction = lengths(disturbed, "slip"), lengths(disturbed, "tangential_force")
-    window = between(disturbed, 0.25, 0.4)
-    assert abs(friction[window, 0].mean() - 0.5) < 0.01
-    assert (friction[window, 0] / disturbed.measured["normal_force"][window, 0]).max() < 0.51
-    assert slip[window, 0].mean() > 0.03
-    during = slip[between(disturbed, 0.2, 0.4), 0].mean()
-    assert slip[between(disturbed, 0.41, 1.0), 0].max() < 0.05 * during
-    # others do not feel it, but for one step, in which the object's acceleration jumps
-    assert friction[between(disturbed, 0.2025, 0.4), 1:].max() < 0.01
-
-
-def test_hydroelastic_patches_hold_one_newton_and_roll():
+def test_fingers_in_hydroelastic_contact_press_with_one_newton_and_roll():
     scene = cs.load_scene("D1")
     patches = simulate(scene, config(scene, contact_model="hydroelastic"), duration=0.35)
     rolling = patches.t > 0.1
@@ -104,11 +70,11 @@ def test_hydroelastic_patches_hold_one_newton_and_roll():
     slip, friction = (lengths(patches, name)[rolling] for name in ("slip", "tangential_force"))
     assert abs(force.mean(axis=0) - 1).max() < 0.01
     assert force.std(axis=0).max() < 0.05
-    assert (slip.mean(axis=0) / speed(patches)[rolling].mean()).max() < 1e-3
+    assert (slip.mean(axis=0) / scene.profile(patches.t)[rolling].mean()).max() < 1e-3
     assert friction.mean() < 0.1
 
 
-def test_rolling_radii_share_the_depth_in_point_contact_and_take_it_off_compliant_fingers():
+def test_rolling_radii_are_smaller_by_half_the_depth_or_by_all_of_it_for_compliant_fingers():
     scene = cs.load_scene("D1")
     planned = rolling_scene(scene, StationConfig(contact_model="point", stiffness=1e4))
     assert planned.object.radius == pytest.approx(0.1 - 0.5e-4, abs=1e-12)
@@ -146,7 +112,7 @@ def test_a_fingertip_of_any_kind_rolls_on_the_surface_at_its_depth(finger):
     scene = cs.Scene(object=cs.Sphere(0.1), contacts=[contact], duration=0.3, profile=profile)
     inner = rolling_scene(scene, StationConfig(stiffness=1e4)).contacts[0].finger
     u, v = (grid.ravel() for grid in np.meshgrid([0.4, 1.1, 2.2], [-2.0, -0.3, 0.8]))
-    outside = inner.point(u, v) + 2e-4 * inner.frame(u, v)[..., 2]  # 1 N is so deep
+    outside = inner.point(u, v) + 2e-4 * inner.frame(u, v)[..., 2]  # the depth at 1 N
     on_finger = finger.point(*finger.coordinates(outside))
     assert np.abs(on_finger - outside).max() < 1e-5
 
@@ -184,10 +150,11 @@ def test_a_finger_that_legs_steer_arrives_in_contact_physics():
 
 
 def pushed(push=None, model="point", scene=None, **changes):
-    """D4 with one push of 0.05 s on finger 1, at 0.1 s, with the loop open or closed."""
+    """D4, or another scene, simulated under one push: by default 4 N on finger 1 for 0.05 s."""
     scene = scene or cs.load_scene("D4")
-    pushes = [push or Push("finger 1", 0.1, 0.15, [-3.64, -1.28, -1.07])]  # 4 N across
+    pushes = [push or Push("finger 1", 0.1, 0.15, [-3.64, -1.28, -1.07])]  # along the object
     given = {"contact_model": model, "pushes": pushes, **changes}
+    # the end lies within a step
     return simulate(scene, StationConfig.from_scene(scene, **given), duration=0.4003)
 
 
@@ -198,8 +165,8 @@ def slipped(result):
 
 
 @pytest.mark.parametrize("model", ["point", "hydroelastic"])
-def test_fed_back_slip_of_a_pushed_finger_is_less_than_half_and_it_comes_back(model):
-    # of a gain so great the driver uses what the step bears
+def test_with_slip_feedback_a_pushed_finger_slips_less_than_half_and_comes_back(model):
+    # of so great a gain the driver uses what is stable at this step
     closed, opened = pushed(model=model, slip_gain=1e6), pushed(model=model, slip_gain=0.0)
     assert slipped(opened) > 5e-4
     assert slipped(closed) < 0.4 * slipped(opened)
@@ -208,9 +175,9 @@ def test_fed_back_slip_of_a_pushed_finger_is_less_than_half_and_it_comes_back(mo
         assert np.linalg.norm(miss, axis=1).max() < 1e-4
 
 
-def test_restarts_under_a_push_do_not_kick_the_finger():
-    """The plan jumps to where the finger is; tracking the jump as a motion would take > 0.1 m/s."""
-    damped = 4.0 / StationConfig().velocity_gain  # m/s, which a push of 4 N comes to by itself
+def test_restarts_of_the_plan_while_a_finger_is_pushed_do_not_jerk_it():
+    """The plan jumps to where the finger is: 0.1 m/s and more, were that taken for a velocity."""
+    damped = 4.0 / StationConfig().velocity_gain  # m/s, to which 4 N accelerate against the damping
     often = pushed(slip_gain=0.0, restart_period=0.01)
     assert lengths(often, "slip")[often.t >= 0.05].max() < damped
     assert lengths(often, "slip")[often.t >= 0.25].max() < 1e-4
@@ -221,20 +188,21 @@ def test_restarts_under_a_push_do_not_kick_the_finger():
         said.measured["contact_point"] - said.planned["contact_point"] for said in (often, opened)
     )
     assert np.abs(often_off).max() < np.abs(off).max()
-    told = push_table(opened)[0]
-    assert push_table(often)[0].farthest > told.farthest  # from the first plan
-    assert told.left == pytest.approx(np.linalg.norm(off[-1, 0]), rel=1e-6)
+    table = push_table(opened)[0]
+    # `farthest` is measured from the first plan, to which no restart leads back
+    assert push_table(often)[0].farthest > table.farthest
+    assert table.left == pytest.approx(np.linalg.norm(off[-1, 0]), rel=1e-6)
 
 
 def test_the_outcome_of_a_simulation_is_a_row_of_a_sweep():
-    scene = early("D1", 0.12, 0.22, 0.3)
+    scene = disturbed_early("D1", 0.12, 0.22, 0.3)
     scene = scene.replace(drake=scene.drake | {"contact_model": "point"})
     found = cs.sweep([scene], outcome, each=True)
     assert found.table["verdict"].tolist() == ["as reported", "undisturbed", "undisturbed"]
 
 
 def test_a_push_on_the_object_moves_it_by_its_mass():
-    # within a step, whose mean force acts
+    # the push begins and ends within a step, in which the mean of its force acts
     runs = [pushed(Push("object", 0.1002, 0.1008, [0, 0, force])) for force in (800.0, 0.0)]
     speed = 800.0 * 0.0006 / (4.18 + 3 * 0.261)  # the fingers go with it
     pushed_so, still = (r.object_pose[[np.searchsorted(r.t, 0.15), -1], :3, 3] for r in runs)
@@ -242,7 +210,7 @@ def test_a_push_on_the_object_moves_it_by_its_mass():
     assert moved == pytest.approx([0.0, 0.0, speed * 0.25], abs=0.2 * speed * 0.25)
 
 
-def test_noise_on_what_is_measured_moves_no_finger_that_rolls():
+def test_noise_on_measured_states_makes_no_rolling_finger_slip():
     scene, builder = cs.load_scene("D4"), DiagramBuilder()
     given = {"pushes": [], "restart_period": 0.01}
     station = builder.AddSystem(BuildStation(scene, config(scene, **given)))
@@ -264,16 +232,16 @@ def test_noise_on_what_is_measured_moves_no_finger_that_rolls():
     assert 0.01 < np.abs(measured - planned).reshape(3, 9)[:, [2, 3, 6, 7]].max() < 2.0
 
 
-def test_restarts_fall_together_with_steps_of_the_plant_whatever_floating_point_makes_of_both():
-    """3 * 0.1 s lies after 300 * 1 ms; a restart a step late would make slip of 0.3 m/s."""
+def test_restarts_happen_at_steps_of_the_plant_whatever_rounding_makes_of_their_times():
+    """3 * 0.1 > 300 * 0.001 in doubles; a restart a step late would make slip of 0.3 m/s."""
     scene = cs.load_scene("D1")
     result = simulate(scene, config(scene, restart_period=0.1), duration=0.35)
     slip = np.linalg.norm(result.measured["slip"][between(result, 0.05, 1.0)], axis=-1)
     assert slip.max() < 1e-4
 
 
-def test_a_disturbance_from_outside_moves_the_contact_like_a_scheduled_one():
-    scheduled = early("D1", 0.0, 0.06, 0.06)
+def test_a_disturbance_at_the_input_port_moves_the_contact_like_one_of_the_scene():
+    scheduled = disturbed_early("D1", 0.0, 0.06, 0.06)
     free = dataclasses.replace(scheduled, disturbances=[])
     planned = simulate(scheduled, config(scheduled), 0.05).planned["slip"][-1, 0]
     station = BuildStation(free, config(free, disturbance_input=True))
@@ -293,7 +261,7 @@ def test_without_drake_the_import_says_what_to_install():
     assert 'ImportError: drake_plant needs Drake: pip install "contact-system[dr' in told.stderr
 
 
-def test_drake_does_not_load_fmpy_until_it_is_needed():
+def test_importing_drake_plant_loads_fmpy_only_for_fmu_systems():
     code = "import drake_plant as d, sys; assert 'fmpy' not in sys.modules; d.FmuSystem"
     code += "; assert {*d.__all__, 'FmuSystem'} <= {*dir(d)}"
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -319,12 +287,12 @@ def two_spheres():
         {"position_gain": 1e6, "velocity_gain": 1e5, "normal_damping": 1e5, "spin_gain": 1e3},
     ],
 )
-def test_gains_are_stable_for_light_fingers_and_long_steps(changes):
+def test_light_fingers_long_steps_and_great_gains_still_hold_the_force_and_roll(changes):
     scene, wanted = two_spheres(), changes.get("normal_force", 1.0)
     result = simulate(scene, config(scene, **changes), duration=0.2)
     late = result.t > 0.1
     assert np.abs(result.measured["normal_force"][late] / wanted - 1).max() < 0.01
-    assert np.abs(result.measured["slip"][late]).max() < 1e-5  # they roll
+    assert np.abs(result.measured["slip"][late]).max() < 1e-5
     if "object" in changes:
         assert np.abs(result.object_pose - np.eye(4)).max() < 1e-15
 
@@ -333,7 +301,7 @@ def test_gains_are_stable_for_light_fingers_and_long_steps(changes):
 
 
 @pytest.mark.parametrize("model", ("point", "hydroelastic"))
-def test_a_continuous_plant_does_what_the_discrete_one_does(model):
+def test_fingers_move_alike_in_a_continuous_and_a_discrete_plant(model):
     scene, points = cs.load_scene("D1"), []
     for step in (0.0, 1e-3):
         found = simulate(scene, config(scene, time_step=step, contact_model=model), duration=0.02)
@@ -343,7 +311,7 @@ def test_a_continuous_plant_does_what_the_discrete_one_does(model):
 
 
 @pytest.mark.parametrize("scheme", ("cenic", "radau3", "runge_kutta2"))
-def test_every_integrator_runs_a_station_whose_planner_has_no_states(scheme):
+def test_every_integrator_runs_a_continuous_station_whose_planner_has_no_states(scheme):
     scene = cs.load_scene("D1")
     station = BuildStation(
         scene, config(scene, time_step=0.0, contact_model="point", coordinates="plan")
@@ -368,7 +336,7 @@ def test_every_integrator_runs_a_station_whose_planner_has_no_states(scheme):
 
 
 def test_a_finger_rolls_on_a_turning_object_and_does_not_turn_itself():
-    """The object turns as the scene says; the corollary's great circle."""
+    """The object turns as C1 says, and the contact point follows the corollary's great circle."""
     scene = cs.load_scene("C1")
     turned = simulate(scene, config(scene, coordinates="frame"))
     found = Rotation.from_matrix(turned.object_pose[:, :3, :3])
@@ -385,8 +353,8 @@ def test_a_finger_rolls_on_a_turning_object_and_does_not_turn_itself():
 # --- starting anywhere ---------------------------------------------------------------------------
 
 
-def at_time(station, t):
-    """A context of a station with its planner where the plan is at t."""
+def context_at(station, t):
+    """A station's Context at time t, with its planner where the plan is then."""
     planner = station.GetSubsystemByName("planner")
     context = station.CreateDefaultContext()
     context.SetTime(t)
@@ -400,10 +368,11 @@ def test_a_station_starts_where_its_planner_is():
     scene, t = cs.load_scene("D1"), 1.2
     station = BuildStation(scene, config(scene))
     planner, plant = (station.GetSubsystemByName(name) for name in ("planner", "plant"))
-    context = at_time(station, t)
+    context = context_at(station, t)
     SetInitialState(station, context)
     physics, planned = plant.GetMyContextFromRoot(context), cs.plan(planner.system.scene)
-    half_a_step_ago = planned.twist([t - 5e-4])[0]  # a discrete plant moves with this
+    # the velocity of a discrete plant is the mean over its last step
+    half_a_step_ago = planned.twist([t - 5e-4])[0]
     for i, X_OF in enumerate(planned.pose([t])[0]):
         body = plant.GetBodyByName(f"finger {i + 1}")
         assert body.EvalPoseInWorld(physics).GetAsMatrix4() == pytest.approx(X_OF, abs=1e-8)
@@ -416,7 +385,7 @@ def test_a_station_starts_where_its_planner_is():
         assert force == pytest.approx([1.0, 1.0, 1.0], abs=0.02)
 
 
-def test_stations_start_inside_another_diagram_under_names_of_their_own():
+def test_two_stations_in_one_diagram_are_each_started_by_themselves():
     scene, builder = cs.load_scene("D1"), DiagramBuilder()
     stations = [builder.AddSystem(BuildStation(scene, config(scene))) for _ in range(2)]
     diagram = builder.Build()
@@ -437,7 +406,7 @@ def test_stations_start_inside_another_diagram_under_names_of_their_own():
 
 
 @pytest.mark.parametrize("step", [0.0, 1e-3])
-def test_a_station_is_freed_with_its_last_reference(step):
+def test_a_station_that_is_no_longer_referenced_is_freed(step):
     station = BuildStation(scene := cs.load_scene("D1"), config(scene, time_step=step))
     SetInitialState(station, station.CreateDefaultContext())
     systems = [weakref.ref(system) for system in station.GetSystems()]
@@ -446,7 +415,7 @@ def test_a_station_is_freed_with_its_last_reference(step):
     assert not any(system() for system in systems)
 
 
-def test_a_diagram_of_ones_own_starts_by_the_names_of_its_systems():
+def test_a_users_diagram_with_the_stations_system_names_can_be_started():
     scene, builder = cs.load_scene("D1"), DiagramBuilder()
     parts = AddScenePlant(builder, scene, config(scene))
     planner = builder.AddNamedSystem("planner", ContactPlanner(scene))
@@ -462,10 +431,10 @@ def test_a_diagram_of_ones_own_starts_by_the_names_of_its_systems():
         system.set_name(name)
 
 
-def test_a_turning_object_starts_with_its_motion_at_that_time():
+def test_a_turning_object_starts_at_the_orientation_and_rate_of_that_time():
     scene = cs.load_scene("C1")
     station = BuildStation(scene, config(scene, coordinates="frame"))
-    context = at_time(station, 0.5)
+    context = context_at(station, 0.5)
     SetInitialState(station, context)
     plant = station.GetSubsystemByName("plant")
     body, physics = plant.GetBodyByName("object"), plant.GetMyContextFromRoot(context)
@@ -480,7 +449,7 @@ def test_a_turning_object_starts_with_its_motion_at_that_time():
 
 
 def test_a_finger_on_something_else_does_not_touch_the_object():
-    """In a plant of the user's own, where a table stands under the fingertip."""
+    """In a user's plant, where the fingertip lies on a table."""
 
     def table(plant, finger):
         friction, nowhere = CoulombFriction(0.5, 0.5), RigidTransform()
@@ -505,7 +474,7 @@ def test_a_finger_on_something_else_does_not_touch_the_object():
 
 
 def own_parts(step=1e-3, off=0.0, finalized=True, more=None, sampled=True, builder=None, **changes):
-    """A ScenePlant of two bodies made by hand, with ``more`` added, and with changes."""
+    """The ScenePlant of a user's plant: an object, a finger, and what ``more`` adds to it."""
     scene, builder = cs.load_scene("C2"), builder or DiagramBuilder()
     wanted = MultibodyPlantConfig(time_step=step, use_sampled_output_ports=sampled)
     plant, scene_graph = AddMultibodyPlant(wanted, builder)
@@ -522,7 +491,7 @@ def own_parts(step=1e-3, off=0.0, finalized=True, more=None, sampled=True, build
 
 @pytest.mark.parametrize("heavy", (True, False))
 def test_fingers_move_as_planned_whether_gravity_pulls_them_or_not(heavy):
-    """Drake can switch it off for a model; nothing else acts here."""
+    """Drake can switch gravity off for a model; there are next to no other forces here."""
     builder = DiagramBuilder()
 
     def pulled(plant, finger):
@@ -548,7 +517,7 @@ def test_fingers_move_as_planned_whether_gravity_pulls_them_or_not(heavy):
     assert (X_WO.inverse() @ X_WF).IsNearlyEqualTo(X_OF, 1e-5)
 
 
-def test_only_what_is_simulated_has_to_be_held_and_meshes_reach_as_far_as_the_scene_lasts():
+def test_a_simulation_needs_held_objects_and_meshes_only_for_its_own_time():
     scene = cs.load_scene("D1")
     heavy = config(scene, gravity=9.81)
     simulate(scene, heavy, duration=0.01)
@@ -566,7 +535,7 @@ def test_only_what_is_simulated_has_to_be_held_and_meshes_reach_as_far_as_the_sc
 # --- configuration, and what is refused
 
 
-def test_yaml_and_the_drake_table_have_the_same_keys():
+def test_a_configuration_read_from_yaml_is_that_of_the_same_drake_table():
     scene = cs.load_scene("D4")
     given = StationConfig.from_scene(scene)
     assert (given.slip_gain, given.object_mass, given.spin_gain) == (800.0, 4.18, 0.04)
@@ -579,7 +548,7 @@ def test_yaml_and_the_drake_table_have_the_same_keys():
 
 
 def one_push(**changes):
-    """A `[drake]` table with a push."""
+    """A change of the [drake] table: one push."""
     push = {"on": "object", "start": 0.1, "stop": 0.2, "force": [0.0, 0.0, 1.0]}
     return {"pushes": [push | changes]}
 
@@ -639,20 +608,20 @@ def on_a_joint(kind, parent, *axis):
         ({"off": 1e-3}, "'C2', contact 0: the mass centre of body 'finger' is at .0.001, 0"),
         ({"more": with_a_camera}, "0: body 'finger' is not free, but has the joint 'finger_welds_"),
         ({"more": on_a_joint(PrismaticJoint, "world", [0.0, 0.0, 1.0])}, "has the joint 'joint'"),
-        # its place would be that on the object
+        # its positions would be relative to the object
         ({"more": on_a_joint(RpyFloatingJoint, "object")}, "has the joint 'joint'; forces"),
-        # forces that depend on the accelerations that they cause
+        # forces would depend on the accelerations that they cause
         ({"sampled": False}, "the plant has no sampled output ports, .* give Multi"),
     ],
 )
 def test_fingers_that_cannot_be_driven_alone_are_refused(changes, message):
-    """Whatever the configuration says; a floating joint of one's own is fine."""
+    """A floating joint to the world, which the user has added, is fine."""
     with pytest.raises(cs.SceneError, match=message):
         FingertipDriver(own_parts(**changes))
     FingertipDriver(own_parts(more=on_a_joint(RpyFloatingJoint, "world")))
 
 
-def test_wrong_parts_of_a_plant_of_ones_own_are_named():
+def test_a_users_plant_that_is_not_finalized_or_lacks_fingers_is_refused():
     with pytest.raises(cs.SceneError, match=r"the plant is not finalized: call plant.Finalize.."):
         own_parts(finalized=False)
     with pytest.raises(cs.SceneError, match="0 finger_bodies: give 1, one for each contact"):

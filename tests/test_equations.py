@@ -1,10 +1,10 @@
-"""The paper's chart equations (theory section 2): as written, and plans that obey them."""
+"""The paper's chart equations (theory section 2) as printed, and plans that obey them."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import ASK, SURFACES, WINDOWS, derivative, one_contact
+from conftest import RESULTS, SURFACES, WINDOWS, derivative, one_contact
 
 import contact_system as cs
 
@@ -40,7 +40,7 @@ def sphere_on_sphere(q, growth, lam, d1, d2, offset):
     ]
 
 
-def test_equations_are_the_papers_on_spheres():
+def test_the_chart_equations_of_two_spheres_are_the_papers():
     rng, profile = np.random.default_rng(3), cs.Profile((0.3, 0.7, 0.2))
     scene = one_contact(cs.Sphere(R2), cs.Sphere(R1), cs.Gain.path(80.0), profile.coefficients)
     system = cs.SceneSystem(scene, "chart", disturbance_input=True)
@@ -58,12 +58,12 @@ def test_equations_are_the_papers_on_spheres():
 
 
 def assert_states_obey_the_equations(scene: cs.Scene, times: np.ndarray) -> None:
-    """d/dt of a plan's states against the equations, at times of one interval each."""
+    """d/dt of a plan's states agrees with the equations at times away from windows' edges."""
     plan, system = cs.plan(scene), cs.SceneSystem(scene, "chart")
     states = plan.states(times)[:, 0]
     expected = []
     for t, x in zip(times, states.copy()):
-        if system.n_w:  # states hold the point's rates, the equations their own
+        if system.n_w:  # a plan's rates of the object hold the rate offset, the equations' do not
             x[6:8] -= system.window_values(t)[4:]
         expected.append(system.evaluate("derivatives", t, x))
     rate = derivative(lambda t: plan.states(t)[:, 0], times)
@@ -82,7 +82,7 @@ def test_states_obey_the_chart_equations(surface, pushes):
 
 
 def test_states_obey_the_chart_equations_beyond_the_ellipsoids_seam():
-    # On the second cover f_u and f_v have turned by pi: the disturbance's components with them.
+    # On the second cover f_u and f_v have opposite directions, and so has a given disturbance.
     start = {"object_at": (0.9, 1.3), "finger_velocity": (0.1, 0.99), "angle": np.pi}
     start |= {"object_velocity": "rolling", "profile": (0.4, 0.1), "duration": 2.0}
     pushes = [
@@ -91,7 +91,7 @@ def test_states_obey_the_chart_equations_beyond_the_ellipsoids_seam():
     ]
     scene = one_contact("ellipsoid", disturbances=pushes, **start)
     times = np.array([0.9, 0.99, 1.01, 1.1, 1.19, 1.21, 1.4, 1.49, 1.51, 1.9])
-    assert np.abs(cs.plan(scene).states(times)[:, 0, 5]).max() > np.pi / 2  # it did cross the seam
+    assert np.abs(cs.plan(scene).states(times)[:, 0, 5]).max() > np.pi / 2  # it crosses the seam
     assert_states_obey_the_equations(scene, times)
 
 
@@ -107,10 +107,10 @@ def test_method_chart_agrees_with_the_default_to_its_tolerance(obj, finger):
     t = np.linspace(0.0, 1.0, 31)
     default, chart = cs.plan(scene), cs.plan(scene, method="chart", tolerance=1e-9)
     assert "chart equations by DOP853" in chart.explain()
-    for ask in ASK:
-        expected = getattr(default, ask)(t)
+    for result in RESULTS:
+        expected = getattr(default, result)(t)
         bar = 1e-7 * np.abs(expected).max()
-        assert getattr(chart, ask)(t) == pytest.approx(expected, abs=bar), ask
+        assert getattr(chart, result)(t) == pytest.approx(expected, abs=bar), result
 
 
 @pytest.mark.parametrize("solver", ["RK45", "Radau", "BDF", "LSODA"])
@@ -128,7 +128,7 @@ def test_method_chart_takes_any_of_scipys_solvers(solver):
         (cs.load_scene("C2"), {}, "scene 'C2', contact 0: .* cannot impose rolling"),
         (one_contact("rounded cube"), {}, "scene '.*cube', contact 0: .* no explicit chart"),
         (one_contact(), {"solver": "Euler"}, "use one of RK23"),
-        # it would be kept, and be told of too late
+        # also with the method that does not use it: it is saved with the plan
         (one_contact(), {"solver": None, "method": "auto"}, "solver = None is unknown"),
     ],
 )

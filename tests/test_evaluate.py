@@ -1,23 +1,20 @@
-"""Several outputs in one pass, by many threads at once, and what importing and planning load."""
+"""Results asked for together and in many threads; the modules that importing and planning load."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import textwrap
-from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
 
 import numpy as np
 import pytest
-from conftest import busy, one_contact, several
+from conftest import disturbed, in_threads, one_contact, run_python, seven_contacts
 
 import contact_system as cs
 
 OUTPUTS = ("states", "points", "slip", "slip_speed", "twist", "pose", "acceleration", "carried")
 SCENES = {
-    "windows": busy,
-    "contacts": several,
+    "windows": disturbed,
+    "contacts": seven_contacts,
     "flat": lambda: one_contact("plane", "cylinder"),
     "users' surfaces": lambda: one_contact("bumps", "rounded cube"),
     "imposed rolling": lambda: cs.load_scene("C2"),
@@ -25,7 +22,7 @@ SCENES = {
 }
 
 
-# --- one pass
+# --- results asked for together
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -62,24 +59,23 @@ def test_unknown_outputs_are_refused_with_the_nearest_name(outputs, words):
 # --- threads
 
 
-@pytest.mark.parametrize("make", [busy, several, SCENES["users' surfaces"]])
+@pytest.mark.parametrize("make", [disturbed, seven_contacts, SCENES["users' surfaces"]])
 def test_threads_get_the_same_bits_from_one_plan(make):
     plan, t = cs.plan(make()), np.linspace(0.0, 1.0, 200)
     expected = cs.plan(make()).evaluate(t, *OUTPUTS)
-    gate = Barrier(6)
+    start_together = Barrier(6)
 
-    def ask(turn: int) -> dict[str, np.ndarray]:
-        gate.wait()
+    def evaluate(turn: int) -> dict[str, np.ndarray]:
+        start_together.wait()
         return plan.evaluate(t, *np.roll(OUTPUTS, turn).tolist())
 
-    with ThreadPoolExecutor(6) as pool:
-        for found in list(pool.map(ask, range(6))):
-            for output, values in expected.items():
-                assert np.array_equal(found[output], values), output
+    for found in in_threads(evaluate, range(6)):
+        for output, values in expected.items():
+            assert np.array_equal(found[output], values), output
 
 
 def test_threads_plan_and_evaluate_scenes_of_every_kind_at_once():
-    makers = [make for make in SCENES.values()] * 6
+    makers = [*SCENES.values()] * 4
 
     def answer(make) -> list[bytes]:
         scene = make()
@@ -87,9 +83,7 @@ def test_threads_plan_and_evaluate_scenes_of_every_kind_at_once():
         found = cs.plan(scene, 1e-10).evaluate(t, "points", "states", "twist")
         return [values.tobytes() for values in found.values()]
 
-    with ThreadPoolExecutor(8) as pool:
-        together = list(pool.map(answer, makers))
-    assert together == [answer(make) for make in makers]
+    assert in_threads(answer, makers) == [answer(make) for make in makers]
 
 
 # --- what is loaded
@@ -99,25 +93,22 @@ HEAVY = ("casadi", "scipy", "matplotlib", "pydrake", "fmpy", "drake_plant", "fmu
 
 
 def loaded(code: str) -> list[str]:
-    """Runs code in a new process: what it prints, then those of HEAVY that it has loaded."""
-    told = f"import sys\nprint([name for name in {HEAVY} if name in sys.modules])"
-    command = [sys.executable, "-c", textwrap.dedent(code) + told]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
+    """The lines that some code prints in a new process, then which of `HEAVY` it has loaded."""
+    check = f"import sys\nprint([name for name in {HEAVY} if name in sys.modules])"
+    return run_python("-c", textwrap.dedent(code) + check).splitlines()
 
 
-def test_importing_loads_nothing_that_is_not_needed_and_names_all_there_is():
+def test_importing_loads_no_heavy_module_and_dir_lists_every_public_name():
     assert loaded("import contact_system\n") == ["[]"] and {*cs.__all__} <= {*dir(cs)}
 
 
-def test_planning_bundled_surfaces_loads_no_symbols():
+def test_planning_scenes_without_formulas_loads_no_heavy_module():
     words = loaded("""
         import numpy as np
         import contact_system as cs
         planned = 0
         for name in cs.bundled_scenes():
-            if name in ("chart", "implicit"):  # whose surfaces are formulas
+            if name in ("chart", "implicit"):  # their surfaces are formulas, which CasADi reads
                 continue
             scene = cs.load_scene(name)
             plan, t = cs.plan(scene), np.linspace(0.0, scene.duration, 5)

@@ -1,4 +1,4 @@
-"""The explorer in a real browser: a slider is moved, a goal clicked, the picture looked at."""
+"""The explorer in a real browser: sliders, goals that are clicked, pictures; and its errors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SIZE = 800, 560
 SLIDERS = "document.querySelectorAll('[role=slider]')"
 CHART = "Object.values(window.__viserTestpoints?.uplots ?? {})[0]?.chart"
 SLIP = f"JSON.stringify({CHART}?.data[1] ?? 0)"
-LONG = 60  # s, for pictures without a graphics card
+LONG = 60  # s to wait: without a graphics card pictures take long
 
 
 @pytest.mark.skipif(PROGRAM is None, reason="needs Chromium or Chrome")
@@ -65,7 +65,7 @@ def _picture(page):
 
 
 def _is_body(picture):
-    """Where a picture is grey and not white."""
+    """Where the picture is grey and not white."""
     grey = np.ptp(picture, axis=2) < 0.12
     return grey & (picture.max(axis=2) < 0.85) & (picture.min(axis=2) > 0.3)
 
@@ -86,7 +86,7 @@ def _press(page, name):
     page.run(f"[...document.querySelectorAll('button')].find(b => b.innerText == '{name}').click()")
 
 
-def test_a_value_that_is_no_scene_is_told_and_the_picture_stays(tmp_path):
+def test_a_slider_value_without_a_valid_scene_is_refused_and_the_picture_stays(tmp_path):
     explorer = Explorer(cs.load_scene("K1"), tmp_path / "x.toml", port=0)
     try:
         shown = explorer.shown
@@ -99,7 +99,7 @@ def test_a_value_that_is_no_scene_is_told_and_the_picture_stays(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["K4", "R1", "D2", "H1", "bowl", "chart", "implicit", "torus"])
-def test_every_slider_gives_a_scene_or_an_error_that_says_why(name):
+def test_every_slider_gives_a_scene_or_an_error_at_its_ends_and_its_value(name):
     scene = cs.load_scene(name)
     for slider in sliders_of(scene):
         ends = [slider.made(x) for x in (slider.low, slider.value, slider.high)]
@@ -114,9 +114,9 @@ def test_every_slider_gives_a_scene_or_an_error_that_says_why(name):
 def test_ctrl_c_ends_the_explorer(tmp_path):
     words = [sys.executable, "-m", "contact_system", "explore", "K1", "--port", "0"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    # a shell that runs the tests in the background lets them ignore Ctrl-C
-    heed = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    with subprocess.Popen(words, cwd=tmp_path, preexec_fn=heed, **pipes) as program:
+    # where a shell runs the tests in the background, Ctrl-C is ignored unless it is set anew
+    default = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with subprocess.Popen(words, cwd=tmp_path, preexec_fn=default, **pipes) as program:
         assert "http://127.0.0.1:" in program.stdout.readline()
         program.send_signal(signal.SIGINT)
         said = program.communicate(timeout=60)
@@ -125,7 +125,7 @@ def test_ctrl_c_ends_the_explorer(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_port_in_use_is_told(tmp_path, capsys):
+def test_a_port_in_use_is_refused_by_number(tmp_path, capsys):
     explorer = Explorer(cs.load_scene("K1"), tmp_path / "x.toml", port=0)
     port = explorer.address.rpartition(":")[2]
     assert cli.main(["explore", "K1", "--port", port]) == 2

@@ -1,4 +1,4 @@
-"""Files are complete or untouched, whatever happens while they are written."""
+"""Files are whole or untouched, whatever happens while they are written (docs/promises.md)."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ SAVES = {
 
 
 @contextlib.contextmanager
-def disk_with(size: int):
-    """A context in which files cannot grow beyond so many bytes."""
+def full_disk(size: int):
+    """No file can be longer than so many bytes."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
@@ -45,14 +45,17 @@ def test_a_save_on_a_full_disk_says_so_and_leaves_what_was_there(name, tmp_path)
     file = tmp_path / name
     for old in ([], [file]):
         for size in (0, 100):
-            with disk_with(size), pytest.raises(cs.ContactSystemError, match=f"{name}' cannot be"):
+            with (
+                full_disk(size),
+                pytest.raises(cs.ContactSystemError, match=f"{name}' cannot be"),
+            ):
                 SAVES[name](file)
             assert list(tmp_path.iterdir()) == old
         SAVES[name](file)
     assert file.stat().st_size > 100
 
 
-def test_files_have_the_permissions_of_new_ones_and_links_stay(tmp_path):
+def test_saving_through_a_link_keeps_it_and_gives_the_umasks_permissions(tmp_path):
     real, link = tmp_path / "real.toml", tmp_path / "link.toml"
     link.symlink_to(real)
     before = os.umask(0o027)
@@ -119,8 +122,8 @@ if __name__ == "__main__":
 
 
 @pytest.fixture
-def begun(tmp_path):
-    """Starts the sweep in a folder: folder, number of its first scene, method -> process."""
+def begin_sweep(tmp_path):
+    """A function that begins that sweep: folder, number of its first scene, method -> process."""
     script, root = tmp_path / "sweep.py", str(Path(__file__).parents[1])
     script.write_text(SWEEP)
     paths = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
@@ -155,26 +158,26 @@ def gone(group: int) -> bool:
 
 @pytest.mark.parametrize("method", ["spawn", "fork"])
 def test_a_killed_sweep_takes_its_workers_with_it_and_goes_on_where_it_stopped(
-    method, begun, tmp_path
+    method, begin_sweep, tmp_path
 ):
-    child = begun("killed", method=method)
+    child = begin_sweep("killed", method=method)
     wait_until(lambda: any((tmp_path / "killed").glob("*.npz")))
     child.kill()
     child.communicate()
     wait_until(lambda: gone(child.pid))
     kept = {file: file.stat().st_mtime_ns for file in (tmp_path / "killed").glob("*.npz")}
     assert 0 < len(kept) < 30
-    assert digest(begun("killed")) == digest(begun("whole"))
+    assert digest(begin_sweep("killed")) == digest(begin_sweep("whole"))
     assert all(file.stat().st_mtime_ns == when for file, when in kept.items())
 
 
-def test_sweeps_at_the_same_time_in_one_folder_do_not_disturb_each_other(begun, tmp_path):
-    found = [digest(each) for each in [begun("shared", first) for first in (0, 1000, 0)]]
-    assert found == [digest(begun(f"alone {first}", first)) for first in (0, 1000, 0)]
+def test_three_sweeps_at_once_in_one_folder_give_what_each_gives_alone(begin_sweep, tmp_path):
+    found = [digest(each) for each in [begin_sweep("shared", first) for first in (0, 1000, 0)]]
+    assert found == [digest(begin_sweep(f"alone {first}", first)) for first in (0, 1000, 0)]
     assert len(list((tmp_path / "shared").glob("*.npz"))) == 60
 
 
-def test_a_table_of_other_scenes_or_numbers_is_made_again(tmp_path):
+def test_a_sweeps_file_that_was_swapped_or_edited_is_made_again(tmp_path):
     scenes = [PLAN.scene.replace(duration=duration) for duration in (1.0, 2.0)]
     first = cs.sweep(scenes, folder=tmp_path, chunk=1).table
     one, two = sorted(tmp_path.iterdir())

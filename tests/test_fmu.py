@@ -1,4 +1,4 @@
-"""Exported FMUs, and slaves in this process: motion, inputs, states and events are as in plans."""
+"""Exported FMUs, and slaves in this process, move as plans do: inputs, states, events."""
 
 from __future__ import annotations
 
@@ -8,20 +8,17 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import derivative, one_contact
+from conftest import derivative, of_blocks, of_kinds, of_versions, one_contact
 
 import contact_system as cs
 
 pytest.importorskip("fmpy")
 
 from fmu_hosts import EVERYTHING
-from fmu_hosts.blocks import BLOCKS, Instance, close, columns, simulated, simulated_states
+from fmu_hosts.blocks import Instance, close, columns, simulated, simulated_states
 
 from fmu_export import variable_table
 
-of_blocks = pytest.mark.parametrize(("kind", "version"), BLOCKS)
-of_kinds = pytest.mark.parametrize("kind", ["FMU", "slave"])
-of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])
 K1 = cs.load_scene("K1")
 NAMES = ("K2", "K3", "K4", "D1", "C1", "C2", "chart", "implicit")
 SCENES = {name: cs.load_scene(name) for name in NAMES}
@@ -45,7 +42,7 @@ SCENES |= {
     "guaranteed legs": R1.replace(contacts=[SLIPPING], gain=cs.Gain.guaranteed(1.0)),
     "dip": K1.replace(profile=cs.Profile([0.3, -0.84, 2.0, -4 / 3]), gain=cs.Gain.guaranteed(8.0)),
     "touch": K1.replace(profile=cs.Profile([0.25, -1.0, 1.0]), gain=cs.Gain.guaranteed(5.0)),
-    "edges of one time": K1.replace(  # but for rounding
+    "edges that differ by rounding": K1.replace(
         disturbances=[
             cs.ObjectRateOffset(*w, (0.3, 0.1)) for w in ((0, 0.1, 0.3), (1, 0, 0.1 + 0.2))
         ]
@@ -54,7 +51,7 @@ SCENES |= {
     "function": one_contact(
         cs.ParametricSurface(
             lambda u, v, size, k: (u, v, size * np.sin(6 * u) * np.cos(k * v)),
-            parameters={"size": 0.05, "k": 5.0},  # a name that surfaces have a use for themselves
+            parameters={"size": 0.05, "k": 5.0},  # surfaces have a `size` of their own
         ),
         object_at=(0.1, 0.2),
         angle=7.0,
@@ -63,7 +60,7 @@ SCENES |= {
 
 
 def assert_follows(one: Instance, plan: cs.Plan, bar: float = 1e-12) -> None:
-    """All results are those of the plan at the instance's time."""
+    """All outputs are the plan's results at the instance's time."""
     t = min(one.time, plan.end)
     close(one.states(), plan.states(t)[0], bar)
     for i in range(len(one.scene.contacts)):
@@ -111,7 +108,7 @@ def test_times_past_the_scenes_duration_are_planned_too(kind, version):
         *(("K2", "2.0"), ("K4", "3.0"), ("C1", "2.0"), ("rest", "2.0"), ("touch", "3.0")),
         ("implicit", "2.0"),
         *(("short legs", "2.0"), ("short legs", "3.0")),
-        *(("legs", "3.0"), ("guaranteed legs", "2.0"), ("edges of one time", "2.0")),
+        *(("legs", "3.0"), ("guaranteed legs", "2.0"), ("edges that differ by rounding", "2.0")),
     ],
 )
 def test_model_exchange_with_cvode_follows_the_plan(name, version):
@@ -123,7 +120,7 @@ def test_model_exchange_with_cvode_follows_the_plan(name, version):
 
 
 @of_kinds
-def test_at_a_pole_coordinates_are_those_of_a_moment_before(kind):
+def test_at_a_pole_of_a_sphere_coordinates_are_those_of_a_moment_before(kind):
     contact = cs.Contact(cs.Plane(), (0.7, 0.3), (0.0, 0.0), finger_velocity=(-1.0, 0.0))
     profile = {"profile": cs.Profile([0.1]), "duration": 1.0}
     one = Instance(
@@ -136,7 +133,7 @@ def test_at_a_pole_coordinates_are_those_of_a_moment_before(kind):
 
 @of_kinds
 @pytest.mark.parametrize("push", [0.0, 0.05])
-def test_a_path_straight_through_a_pole_of_a_users_chart_ends_there(push, kind):
+def test_a_step_through_a_pole_of_a_users_chart_is_refused_and_changes_nothing(push, kind):
     ball = cs.ParametricSurface(
         ("r*sin(u)", "r*sin(v)*cos(u)", "r*cos(v)*cos(u)"), parameters={"r": 0.1}, size=0.1
     )
@@ -152,8 +149,9 @@ def test_a_path_straight_through_a_pole_of_a_users_chart_ends_there(push, kind):
 
 
 @of_blocks
-def test_a_later_start_time_starts_there(kind, version):
-    slips_later = {"profile": (0.0, 0.2, -0.1), "gain": cs.Gain.guaranteed(3.0)}  # not from t = 0
+def test_with_a_later_start_time_profile_and_windows_are_those_from_that_time_on(kind, version):
+    # under this law there is no slip from t = 0 on, where sigma rises from zero, but from 0.25 s on
+    slips_later = {"profile": (0.0, 0.2, -0.1), "gain": cs.Gain.guaranteed(3.0)}
     window = cs.ObjectRateOffset(0, 0.2, 0.4, (0.3, 0.1))
     scene = one_contact("ellipsoid", disturbances=[window], **slips_later)
     one = Instance(scene, kind, version).begin(0.25)
@@ -168,8 +166,8 @@ def test_a_later_start_time_starts_there(kind, version):
 # --- inputs
 
 
-def pushed(one: Instance, *windows: cs.scene.Disturbance) -> None:
-    """Set each input to the sum of its given values."""
+def set_inputs(one: Instance, *windows: cs.scene.Disturbance) -> None:
+    """Set the disturbance inputs to the sum of these windows' values, others to zero."""
     given = {v.name: 0.0 for v in one.table.rows if v.causality == "input"}
     for d in windows:
         side, _, kind = d.kind.partition(" ")
@@ -190,12 +188,12 @@ THREE = cs.Scene(
     duration=1.0,
     disturbances=[cs.ObjectRateOffset(1, 0.31, 0.57, (0.3, -0.2))],
 )
-"""The first passes a pole."""
+"""The first contact passes a pole."""
 
 
 @of_blocks
 @pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "bumps"])
-def test_inputs_that_are_held_are_windows_of_a_scene(obj, kind, version):
+def test_inputs_that_are_held_act_as_windows_of_a_scene(obj, kind, version):
     scene = one_contact(obj, profile=(0.1, 0.1))
     windows = [
         cs.FingerAcceleration(0, 0.2, 0.5, (0.4, -0.3)),
@@ -205,7 +203,7 @@ def test_inputs_that_are_held_are_windows_of_a_scene(obj, kind, version):
     plan = cs.plan(scene.replace(disturbances=windows), 1e-14)
     one = Instance(scene, kind, version).begin()
     for a, b in zip(plan.scene.edges, plan.scene.edges[1:]):
-        pushed(one, *(d for d in windows if d.start <= a < d.stop))
+        set_inputs(one, *(d for d in windows if d.start <= a < d.stop))
         for t in (0.5 * (a + b), b):
             one.step(t - one.time)
             before = plan.states(np.nextafter(t, 0))[0]
@@ -213,20 +211,20 @@ def test_inputs_that_are_held_are_windows_of_a_scene(obj, kind, version):
 
 
 @of_blocks
-@pytest.mark.parametrize("look", [False, True])
-def test_inputs_that_change_at_every_step_are_windows_each(look, kind, version):
-    # importers with feed-through look before each step
+@pytest.mark.parametrize("read", [False, True])
+def test_inputs_that_change_at_every_step_act_as_a_window_each(read, kind, version):
+    # some importers read outputs between setting the inputs and the step: for feed-through
     for scene, steps in (
         (one_contact("ellipsoid", profile=(0.2,)), [0.025] * 40),
         (THREE, [0.02] * 50),
-        (SCENES["D1"].replace(disturbances=()), [0.1, 0.2, 0.25, 0.3]),  # which lose no turn
+        (SCENES["D1"].replace(disturbances=()), [0.1, 0.2, 0.25, 0.3]),  # a turn or less in a step
     ):
         one, windows = Instance(scene, kind, version).begin(), list(scene.disturbances)
         for k, step in enumerate(steps):
             i, a = k % len(scene.contacts), one.time
             windows.append(cs.FingerAcceleration(i, a, a + step, (math.sin(9 * a), 0.3)))
-            pushed(one, windows[-1])
-            if look:
+            set_inputs(one, windows[-1])
+            if read:
                 one.everything()
             one.step(step)
         end = one.time
@@ -236,17 +234,17 @@ def test_inputs_that_change_at_every_step_are_windows_each(look, kind, version):
 
 @of_kinds
 @pytest.mark.parametrize("steps", [[0.1] * 6, [0.3, 0.1, 0.2], [0.4, 0.2]], ids=str)
-def test_a_step_under_changing_inputs_that_ends_at_an_edge_has_passed_it(steps, kind):
+def test_a_step_that_ends_at_an_edge_gives_values_after_the_edge_while_inputs_change(steps, kind):
     scene = one_contact(disturbances=[cs.ObjectRateOffset(0, 0.4, 0.6, (0.5, 0.2))])
-    one, windows, met = Instance(scene, kind, "2.0").begin(), list(scene.disturbances), []
+    one, windows, at_edges = Instance(scene, kind, "2.0").begin(), list(scene.disturbances), []
     for k, step in enumerate(steps):
         windows.append(cs.FingerAcceleration(0, one.time, one.time + step, (0.1 + 0.1 * k, 0.0)))
-        pushed(one, windows[-1])
+        set_inputs(one, windows[-1])
         one.step(step)
         if any(abs(one.time - edge) < 1e-9 for edge in (0.4, 0.6)):
-            met.append(one.states()[0])
+            at_edges.append(one.states()[0])
     plan = cs.plan(scene.replace(disturbances=windows), 1e-14)
-    close(np.array(met), plan.states([0.4, 0.6])[:, 0])
+    close(np.array(at_edges), plan.states([0.4, 0.6])[:, 0])
 
 
 @of_blocks
@@ -256,9 +254,9 @@ def test_inputs_and_measured_states_act_on_contacts_with_legs(kind, version):
     plan = cs.plan(scene.replace(disturbances=[*scene.disturbances, window]), 1e-14)
     one = Instance(scene, kind, version, measured="states").begin()
     one.step(0.7)
-    pushed(one, window)
+    set_inputs(one, window)
     one.step(0.5)
-    pushed(one)
+    set_inputs(one)
     one.step(0.6)
     close(one.states(), plan.states(1.8)[0])
     measured = plan.states(1.8)[0] + 1e-3
@@ -273,7 +271,7 @@ def test_inputs_and_measured_states_act_on_contacts_with_legs(kind, version):
 @of_blocks
 @pytest.mark.parametrize("name", ["K1", "K2", "K3", "K4"])
 @pytest.mark.parametrize("what", ["states", "pose"])
-def test_the_next_step_goes_on_from_measured_values(name, what, kind, version):
+def test_the_next_step_starts_from_the_measured_states_or_pose(name, what, kind, version):
     scene = cs.load_scene(name)
     random, plan = np.random.default_rng(7), cs.plan(scene, 1e-14)
     table = variable_table(scene, measured=what)
@@ -293,15 +291,15 @@ def test_the_next_step_goes_on_from_measured_values(name, what, kind, version):
             one.put(dict(zip(own, [1.0 + k, *row])))
         close(one.states(), measured, 1e-12)
         one.step(0.5 * (scene.duration - t))
-        told, before = one.get(*rates), one.get(*(n[4:-1] for n in rates))
+        given, before = one.get(*rates), one.get(*(n[4:-1] for n in rates))
         one.step(1e-6)
-        close((one.get(*(n[4:-1] for n in rates)) - before) / 1e-6, told, 1e-4)
+        close((one.get(*(n[4:-1] for n in rates)) - before) / 1e-6, given, 1e-4)
         one.step(scene.duration - one.time)
         close(one.states(), other.states(scene.duration)[0], 1e-12)
 
 
 @of_blocks
-def test_windows_are_parameters_and_can_be_left_out(kind, version):
+def test_windows_can_be_changed_by_parameters_and_switched_off_by_their_scale(kind, version):
     scene = SCENES["K4"]
     windows = [dataclasses.replace(d, start=0.5, value=(0.1, 0.0)) for d in scene.disturbances]
     moved = scene.replace(disturbances=windows)
@@ -316,7 +314,7 @@ def test_windows_are_parameters_and_can_be_left_out(kind, version):
 
 
 @of_blocks
-def test_sigma_slip_speed_and_what_acts_are_told(kind, version):
+def test_outputs_have_sigma_slip_speed_active_disturbance_and_recovery_time(kind, version):
     scene = SCENES["K4"].replace(gain=cs.Gain.time(20.0))
     one, plan = Instance(scene, kind, version).begin(), cs.plan(scene)
     names = [f"contact[2].{n}" for n in ("path.speed", "slip_speed", "disturbance.active")]
@@ -329,24 +327,24 @@ def test_sigma_slip_speed_and_what_acts_are_told(kind, version):
 
 
 @of_versions
-def test_model_exchange_says_that_states_changed_where_a_window_begins(version):
+def test_model_exchange_reports_changed_states_where_a_window_begins_or_ends(version):
     one = Instance(SCENES["K4"], "FMU", version, "ModelExchange").begin()
     update = one.own.newDiscreteStates if version == "2.0" else one.own.updateDiscreteStates
-    told = []
+    states_changed = []
     for t in (0.0, 0.5, 1.0, 2.0, 3.0):
         if t:
             one.own.setTime(t)
             one.own.enterEventMode()
-        told.append(bool(update()[3]))
+        states_changed.append(bool(update()[3]))
         one.own.enterContinuousTimeMode()
-    assert told == [False, False, True, True, False]
+    assert states_changed == [False, False, True, True, False]
 
 
 # --- start values and parameters
 
 
 @of_blocks
-def test_start_values_make_another_scene(kind, version):
+def test_with_other_start_values_an_instance_is_another_scene(kind, version):
     contact = cs.Contact(cs.Sphere(0.05), (0.9, 0.3), (1.4, -0.2), 0.7, (0.8, -0.6), (0.1, 0.4))
     scene = one_contact("ellipsoid")
     other = scene.replace(
@@ -364,7 +362,7 @@ def test_start_values_make_another_scene(kind, version):
 
 
 @of_kinds
-def test_a_radius_that_is_set_moves_the_contacts_at_the_start(kind):
+def test_a_radius_that_is_set_moves_the_starting_point_onto_the_new_surface(kind):
     long, longer = K1.replace(object=cs.Ellipsoid(0.2, 0.1, 0.1)), cs.Ellipsoid(0.25, 0.1, 0.1)
     cases = [*((K1, "radius", cs.Sphere(r)) for r in (0.12, 0.03)), (long, "a", longer)]
     for scene, name, body in cases:
@@ -378,7 +376,7 @@ def test_a_radius_that_is_set_moves_the_contacts_at_the_start(kind):
 
 
 @of_kinds
-def test_parameters_of_a_users_surface_are_those_of_this_run_after_others(kind):
+def test_instances_one_after_the_other_have_their_own_parameters_of_a_users_surface(kind):
     scene = SCENES["chart"]
     for k in (20.0, 20.2):
         one = Instance(scene, kind, "2.0").begin(start={"object.k": k})
@@ -388,7 +386,7 @@ def test_parameters_of_a_users_surface_are_those_of_this_run_after_others(kind):
 
 
 @of_blocks
-def test_the_gain_can_be_tuned_on_the_way(kind, version):
+def test_the_gain_can_be_changed_between_steps(kind, version):
     one = Instance(K1, kind, version).begin()
     one.step(0.4)
     one.put({"gain.eta": 500.0})
@@ -398,18 +396,18 @@ def test_the_gain_can_be_tuned_on_the_way(kind, version):
 
 
 @of_blocks
-def test_instances_do_not_know_of_each_other_and_reset_starts_anew(kind, version):
+def test_instances_are_independent_and_reset_starts_anew(kind, version):
     scene = SCENES["K2"]
     alone = Instance(scene, kind, version).begin()
     alone.step(*[0.1] * 5)
     several = [Instance(scene, kind, version).begin() for _ in range(3)]
-    pushed(several[1], cs.FingerAcceleration(0, 0, 1, (1.0, 0.0)))
+    set_inputs(several[1], cs.FingerAcceleration(0, 0, 1, (1.0, 0.0)))
     for _ in range(5):
         for one in several:
             one.step(0.1)
     for k in (0, 2):
         assert np.array_equal(several[k].everything(), alone.everything())
-    if kind == "slave":  # which may be freed, even twice, and made again
+    if kind == "slave":  # it may be freed, even twice, and instantiated again
         several[1].own.freeInstance(), several[1].own.freeInstance(), several[1].own.instantiate()
     else:
         several[1].own.reset()
@@ -421,16 +419,16 @@ def test_instances_do_not_know_of_each_other_and_reset_starts_anew(kind, version
 
 
 @of_blocks
-def test_a_state_goes_back_and_through_bytes_into_another_instance(kind, version):
+def test_a_saved_state_can_be_restored_and_as_bytes_also_in_another_instance(kind, version):
     scene = SCENES["K4"]
     one = Instance(scene, kind, version).begin()
     one.step(0.3, 0.2)
     offset = cs.ObjectRateOffset(1, 0, 1, (0.1, 0.0))
-    pushed(one, offset)
+    set_inputs(one, offset)
     one.put({"gain.eta": 50.0})
     for _ in range(5):
         one.step(0.05)
-    pushed(one)  # not acted on yet
+    set_inputs(one)  # the state includes inputs that no step has used yet
     state, time = one.state(), one.time
     data = one.written(state)
     one.step(0.4, 0.4)
@@ -446,7 +444,7 @@ def test_a_state_goes_back_and_through_bytes_into_another_instance(kind, version
 
 
 @of_blocks
-def test_state_bytes_that_do_not_fit_are_refused(kind, version):
+def test_damaged_bytes_and_states_of_another_model_are_refused(kind, version):
     one, other = (Instance(s, kind, version).begin() for s in (K1, SCENES["K2"]))
     data, random = one.written(), np.random.default_rng(2)
     places = random.integers(0, len(data), 50)
@@ -468,24 +466,24 @@ def test_state_bytes_that_do_not_fit_are_refused(kind, version):
 @pytest.mark.parametrize("name", ["K4", "everything", "legs"])
 def test_steps_return_early_at_window_edges_where_that_is_allowed(name, kind):
     scene = EVERYTHING if name == "everything" else SCENES[name]
-    edges = [t for t in scene.edges if 0.0 < t < scene.duration]  # and where sigma turns, none
+    edges = [t for t in scene.edges if 0.0 < t < scene.duration]  # not at extrema of sigma
     one = Instance(scene, kind, "3.0", eventModeUsed=True, earlyReturnAllowed=True).begin()
-    stops, told = [], []
+    stops, next_events = [], []
     while one.time < scene.duration:
         update = one.own.updateDiscreteStates()
-        told.append(update[-1] if update[-2] else None)
+        next_events.append(update[-1] if update[-2] else None)
         one.own.enterStepMode()
         event, _, early, t = one.step(scene.duration - one.time)
         assert event == early == (t < scene.duration)
         if event:
             stops.append(t)
             one.own.enterEventMode()
-    assert stops == edges and told == [*edges, None]
+    assert stops == edges and next_events == [*edges, None]
     close(one.states(), cs.plan(scene).states(scene.duration)[0])
 
 
 @of_kinds
-def test_without_early_return_the_step_is_made(kind):
+def test_without_early_return_a_step_over_an_edge_is_made_and_reports_the_event(kind):
     one = Instance(SCENES["K4"], kind, "3.0", eventModeUsed=True).begin()
     one.own.enterStepMode()
     assert one.step(2.0) == (True, False, False, 2.0)
@@ -497,13 +495,14 @@ def test_without_early_return_the_step_is_made(kind):
     ends.put({f"profile[{k + 1}]": x for k, x in enumerate((1.0, -1.0, 0.0))})
     ends.begin().own.enterStepMode()
     ends.refused("sigma is negative from", ends.step, 1.5)
-    assert ends.step(0.2) == (True, False, False, 0.2)  # from where it stood
+    assert ends.step(0.2) == (True, False, False, 0.2)  # it still stands at 0 s
 
 
 @of_kinds
 @pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "bumps"])
-def test_event_mode_shows_values_after_the_edge_before_the_update(obj, kind):
-    """An importer passes outputs on in event mode, then updates (FMI 3.0.2, 2.3.5)."""
+def test_in_event_mode_values_are_those_after_the_edge_even_before_the_update(obj, kind):
+    """Importers pass outputs on in event mode before they update discrete states (FMI 3.0.2,
+    2.3.5)."""
     window = cs.ObjectRateOffset(0, 0.3, 0.8, (0.5, 0.2))
     scene = one_contact(obj, disturbances=[window])
     one = Instance(scene, kind, "3.0", eventModeUsed=True).begin()
@@ -514,9 +513,9 @@ def test_event_mode_shows_values_after_the_edge_before_the_update(obj, kind):
     close(one.states(), before)
     saved, data = one.state(), one.written()
     plain = Instance(scene, kind, "3.0").begin()
-    close(plain.restore(plain.read(data), 0.3).states(), after)  # which has no event mode
-    # an input set at the edge is shown beside what acted before it
-    pushed(one, cs.ObjectRateOffset(0, 0, 1, (0.3, 0.0)))
+    close(plain.restore(plain.read(data), 0.3).states(), after)  # an instance without event mode
+    # an input that is set at the edge adds to what acted before it
+    set_inputs(one, cs.ObjectRateOffset(0, 0, 1, (0.3, 0.0)))
     close(one.states() - before, np.array([[0, 0, 0, 0, 0, 0, 0.3, 0, 0]]))
     one.restore(saved, 0.3).own.enterEventMode()
     for _ in range(2):
@@ -536,7 +535,7 @@ def test_directional_derivatives_agree_with_differences(t, kind, version):
     one = Instance(SCENES["K4"], kind, version)
     knowns = [v.name for v in one.table.rows if v.causality == "input"]
     knowns.append("gain.eta")
-    if t is None:  # starts, which are put on their surfaces
+    if t is None:  # in initialization mode, where starts are functions of the surfaces' parameters
         one.own.enterInitializationMode()
         knowns += ["object.a", "object.c", "contact[2].finger.radius"]
         knowns += [one.table.rows[r].name for r in one.table.states]
@@ -546,7 +545,7 @@ def test_directional_derivatives_agree_with_differences(t, kind, version):
         one.step(t)
     unknowns = [n for n in columns(1) if n.startswith("der(")]
     more = [] if version == "3.0" else ["contact[2].slip.x", "contact[2].twist.linear.y"]
-    unknowns += more  # in FMI 3 they are arrays
+    unknowns += more  # in FMI 3 these are elements of arrays
     seed = np.random.default_rng(0).standard_normal(len(knowns))
     exact = one.directional(unknowns, knowns, seed)
     start, state = one.get(*knowns), one.state()

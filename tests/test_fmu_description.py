@@ -1,4 +1,4 @@
-"""Variables and modelDescription.xml, against plans and fmpy's own reading and validation."""
+"""Variables and modelDescription.xml, as fmpy reads and validates them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import of_versions
 
 import contact_system as cs
 
@@ -22,14 +23,13 @@ from fmu_export.data import scene_data  # noqa: E402
 from fmu_export.description import model_description, model_identifier, terminals  # noqa: E402
 
 BOTH = ("CoSimulation", "ModelExchange")
-of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])
 K1, C2 = cs.load_scene("K1"), cs.load_scene("C2")
 
 
 # --- the table
 
 
-def test_names_and_start_values_are_those_that_were_promised():
+def test_variables_have_their_documented_names_and_the_scenes_start_values():
     scene = cs.load_scene("K4")
     table = variable_table(scene)
     starts = {
@@ -47,7 +47,7 @@ def test_names_and_start_values_are_those_that_were_promised():
 
 
 @of_versions
-def test_units_follow_the_chart_and_are_made_of_base_units(version, written):
+def test_units_of_coordinates_are_those_of_the_chart_in_si_base_units(version, written):
     read = read_model_description(written(C2, version))
     units = {u.name: u.baseUnit for u in read.unitDefinitions}
     assert (units["rad/s2"].rad, units["rad/s2"].s) == (1, -2)
@@ -59,7 +59,7 @@ def test_units_follow_the_chart_and_are_made_of_base_units(version, written):
     assert variable_table(K1)["gain.eta"].unit == (-2, 1, 0)  # s/m2, m s rad
 
 
-def test_scenes_without_a_table_are_refused():
+def test_scenes_and_options_that_make_no_variable_table_are_refused():
     with pytest.raises(cs.SceneError, match="no explicit chart.*leave measured out"):
         variable_table(cs.load_scene("implicit"), measured="states")
     with pytest.raises(cs.SceneError, match="'all' is unknown; use one of nothing, states, pose"):
@@ -78,7 +78,7 @@ def test_scenes_without_a_table_are_refused():
 
 @pytest.fixture
 def written(tmp_path):
-    """Write a description; return its folder."""
+    """A function that writes a scene's modelDescription.xml and returns its folder."""
 
     def write(scene, version, arrays=False, **options):
         scene = cs.load_scene(scene) if isinstance(scene, str) else scene
@@ -90,18 +90,18 @@ def written(tmp_path):
     return write
 
 
-# Every export is validated but for names, on which fmpy's validation spends its time: these scenes
-# have all kinds of them.
+# Every export is validated except for names of variables, which take fmpy's validation long; these
+# scenes have names of all kinds.
 @pytest.mark.parametrize(
     ("name", "version"),
     [("D1", "3.0"), ("H3", "2.0"), ("implicit", "3.0"), ("torus", "2.0"), ("chart", "3.0")],
 )
-def test_fmpys_validation_finds_no_problem(name, version, written):
+def test_fmpy_finds_nothing_wrong_with_the_description(name, version, written):
     assert validate_fmu(str(written(name, version))) == []
 
 
 @pytest.mark.parametrize(("version", "arrays"), [("2.0", False), ("3.0", False), ("3.0", True)])
-def test_fmpy_reads_back_what_the_table_says(version, arrays, written):
+def test_fmpy_reads_the_variables_of_the_table(version, arrays, written):
     table = variable_table(cs.load_scene("K4"), arrays=arrays)
     read = read_model_description(written("K4", version, arrays))
     rows = table.joined if arrays else table.rows[version == "2.0" :]
@@ -116,19 +116,21 @@ def test_fmpy_reads_back_what_the_table_says(version, arrays, written):
 
 
 @of_versions
-def test_states_that_events_change_are_told_in_model_exchange(version):
+def test_states_that_jump_at_events_have_reinit_in_model_exchange(version):
     table = variable_table(cs.load_scene("R1").replace(gain=cs.Gain.guaranteed(1.0)))
     rows = ET.fromstring(model_description(table, "{}", version)).find("ModelVariables")
-    told = [v.get("name") for v in rows if any(e.get("reinit") == "true" for e in v.iter())]
-    assert told == [f"contact[1].frame.{n}.{a}" for n in ("velocity", "slip") for a in "xy"]
+    found = [v.get("name") for v in rows if any(e.get("reinit") == "true" for e in v.iter())]
+    assert found == [f"contact[1].frame.{n}.{a}" for n in ("velocity", "slip") for a in "xy"]
     assert "reinit" not in model_description(table, "{}", version, ("CoSimulation",))
 
 
 @pytest.mark.parametrize("interfaces", [BOTH, ("CoSimulation",)], ids=" ".join)
 @of_versions
-def test_whatever_moves_an_output_or_a_derivative_is_listed(version, interfaces, written):
-    """All knowns of FMI 2.0.4, 2.2.8 and FMI 3.0.2, 2.4.8: parameters in FMI 3, states also in
-    Co-Simulation, which gives directional derivatives."""
+def test_every_known_that_changes_an_output_or_a_derivative_is_a_listed_dependency(
+    version, interfaces, written
+):
+    """Knowns by FMI 2.0.4, 2.2.8 and FMI 3.0.2, 2.4.8: inputs, parameters (FMI 3), and states, even
+    in Co-Simulation, as it has directional derivatives."""
     scene = cs.load_scene("K4").replace(disturbances=())
     read = read_model_description(written(scene, version, interfaces=interfaces))
     states = {v.derivative.valueReference for v in read.modelVariables if v.derivative}
@@ -144,9 +146,9 @@ def test_whatever_moves_an_output_or_a_derivative_is_listed(version, interfaces,
         seeds = range(known.valueReference, known.valueReference + size)
         columns = [one.own.getDirectionalDerivative(calculated, [k], [1.0]) for k in seeds]
         moved[known.name] = np.abs(columns).max(axis=0)
-    # accelerations move rates alone: an importer that closes a loop over them finds no algebra
-    told = {u.variable.name: {d.name for d in u.dependencies} for u in read.outputs}
-    assert not any("accel" in d for name, ds in told.items() if "active" not in name for d in ds)
+    # no output depends on accelerations, so that a loop over them is no algebraic loop
+    listed = {u.variable.name: {d.name for d in u.dependencies} for u in read.outputs}
+    assert not any("accel" in d for name, ds in listed.items() if "active" not in name for d in ds)
     for unknown in (*read.outputs, *read.derivatives):
         first, listed = unknown.variable.valueReference, {d.name for d in unknown.dependencies}
         size = int(np.prod([int(d.start) for d in unknown.variable.dimensions]))
@@ -167,7 +169,7 @@ def test_a_parameter_may_have_a_greek_name(version, written):
     assert "contact[1].finger.λ" in names
 
 
-def test_the_token_tells_scenes_apart_and_not_dates(monkeypatch, written):
+def test_the_token_depends_on_the_scene_and_not_on_the_date(monkeypatch, written):
     def token(scene):
         return read_model_description(written(scene, "3.0")).instantiationToken
 
@@ -182,7 +184,7 @@ def test_the_token_tells_scenes_apart_and_not_dates(monkeypatch, written):
     assert token(scene.replace(disturbances=[moved])) != first
 
 
-def test_names_become_identifiers_and_are_escaped_for_xml(written):
+def test_names_of_scenes_become_model_identifiers_and_are_escaped_in_xml(written):
     for name, identifier in {
         "4 balls & a cup": "scene_4_balls___a_cup",
         "": "scene",
@@ -196,7 +198,7 @@ def test_names_become_identifiers_and_are_escaped_for_xml(written):
 
 
 @of_versions
-def test_a_slave_says_what_it_can_do(version):
+def test_the_description_of_a_slave_has_its_capabilities(version):
     with in_process(K1, version) as planner:
         read = planner["model_description"]
         assert (
@@ -210,7 +212,7 @@ def test_a_slave_says_what_it_can_do(version):
 
 
 @pytest.mark.parametrize("measured", ["pose", "states"])
-def test_a_motion_can_be_connected_to_what_another_fmu_measures(measured):
+def test_terminals_for_motion_and_for_measured_inputs_have_the_same_members(measured):
     table = variable_table(cs.load_scene("K2"), measured=measured)
     found = {t.get("name"): t for t in ET.fromstring(terminals(table)).find("Terminals")}
     members = {name: {m.get("memberName") for m in t} for name, t in found.items()}

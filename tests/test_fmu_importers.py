@@ -1,4 +1,4 @@
-"""Every importer gets the plan's numbers out of an FMU."""
+"""In every importer an FMU gives the plan's numbers."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def test_importers_integrate_an_fmu_along_the_plan(importer, version):
     assert off_plan(scene, getattr(importers, f"{importer}_integrates"), version, 64) < 1e-7
 
 
-def test_cvode_at_the_files_tolerance_follows_a_path_of_many_turns():
+def test_cvode_with_the_fmus_default_tolerance_follows_a_path_of_many_turns():
     scene = cs.load_scene("D3")
     run, fmu = importers.fmpy_integrates, exported(scene, "2.0")
     assert importers.off_plan(run, fmu, scene, 256, scene.duration / 256) < 1e-7
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_cvode_restarts_where_a_held_input_jumps(version):
+def test_model_exchange_under_an_input_that_jumps_gives_what_co_simulation_gives(version):
     times, name = np.linspace(0.0, 1.0, 101), "contact[1].finger.acceleration.u"
     signal = np.rec.fromarrays([times, np.sin(3 * times)], names=["time", name])
     given = {"input": signal, "stop_time": 1.0, "output_interval": 0.01, "record_events": False}
@@ -77,9 +77,9 @@ def test_the_jacobian_in_casadi_agrees_with_central_differences(result, version)
     split = lambda x: np.split(x, [function.size1_in(0)])  # noqa: E731
     parts = function.jacobian()(*split(x), function(*split(x)))
     jacobian = np.hstack([part.full() for part in parts])
-    moved = lambda h: function(*split(x + h)).full().ravel()  # noqa: E731
+    value = lambda h: function(*split(x + h)).full().ravel()  # noqa: E731
     columns = [
-        derivative(lambda t, e=e: np.array([moved(s * e) for s in t]), np.zeros(1), 1e-2)[0]
+        derivative(lambda t, e=e: np.array([value(s * e) for s in t]), np.zeros(1), 1e-2)[0]
         for e in np.eye(len(x))
     ]
     assert np.abs(np.stack(columns, axis=1) - jacobian).max() < 1e-9 * np.abs(jacobian).max()

@@ -1,4 +1,4 @@
-"""The file that `export_fmu` and ``contact-system fmu`` write: what is in it, where it goes."""
+"""The file that `export_fmu` and ``contact-system fmu`` write: contents, platforms, refusals."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import of_versions
 
 import contact_system as cs
 from contact_system.cli import file_name
@@ -35,21 +36,20 @@ from fmu_export import build, check_fmu, cli, export_fmu  # noqa: E402
 from fmu_export.archive import write_fmu  # noqa: E402
 from fmu_export.build import PLATFORMS  # noqa: E402
 
-of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 K1, C2 = cs.load_scene("K1"), cs.load_scene("C2")
 WRONG = b"""<fmiModelDescription fmiVersion="2.0" modelName="x" guid="x">
 <CoSimulation modelIdentifier="x"/><ModelVariables><ScalarVariable name="a" valueReference="1"
 causality="output"><Real/></ScalarVariable></ModelVariables><ModelStructure/>
 </fmiModelDescription>"""
-"""An output that the structure does not list."""
+"""A description that is not valid: its output is not in its ModelStructure."""
 
 
-# --- what is in it
+# --- contents
 
 
 @of_versions
-def test_the_file_is_valid_small_and_complete(version):
+def test_an_exported_fmu_is_valid_less_than_700_kb_and_complete(version):
     fmu = exported(cs.load_scene("K4"), version)
     assert validate_fmu(str(fmu.path)) == []
     assert fmu.path.stat().st_size < 700_000
@@ -57,10 +57,10 @@ def test_the_file_is_valid_small_and_complete(version):
     wanted = {"modelDescription.xml", "documentation/index.html", "sources/buildDescription.xml"}
     assert wanted | {"resources/scene.bin"} <= names and any(n.endswith(".png") for n in names)
     assert any(n.startswith("sources/") and n.endswith(".c") for n in names)
-    assert not any("Function" in n for n in names)  # FMI's headers are the importer's
+    assert not any("Function" in n for n in names)  # the importer has FMI's headers
 
 
-def test_the_same_scene_gives_the_same_bytes(tmp_path, monkeypatch):
+def test_the_same_scene_gives_the_same_bytes_of_an_fmu(tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     seen: list[str] = []
     first = export_fmu(C2, tmp_path / "one.fmu", progress=seen.append).read_bytes()
@@ -75,7 +75,7 @@ def sources(scene: cs.Scene, version: str) -> tuple[Path, list[str]]:
 
 
 @needs_compiler
-def test_fmpy_and_cmake_build_the_sources_to_the_same_model(tmp_path):
+def test_a_library_that_fmpy_builds_from_the_sources_gives_the_same_results(tmp_path):
     if not shutil.which("cmake"):
         pytest.skip("no cmake")
     scene = cs.load_scene("K2")
@@ -94,8 +94,8 @@ def test_fmpy_and_cmake_build_the_sources_to_the_same_model(tmp_path):
 @needs_compiler
 @of_versions
 def test_sources_of_two_models_build_without_warnings_to_one_program(version, tmp_path):
-    """FMI 3.0.2, 2.2.2: functions that an importer links bear the model's name."""
-    toolbox = pytest.importorskip("fmu_manipulation_toolbox")  # fmpy's FMI 2 headers drop it
+    """FMI 3.0.2, 2.2.2: functions that are linked statically begin with the model's name."""
+    toolbox = pytest.importorskip("fmu_manipulation_toolbox")  # fmpy's FMI 2 headers lack prefixes
     headers = Path(toolbox.__file__).parent / "resources" / "fmi"
     flags, objects, main = ["-std=c11", "-O0", "-Wall", "-Wextra"], [], ""
     flags += ["-Wno-unknown-pragmas", "-Werror", f"-I{headers}"]
@@ -119,13 +119,13 @@ def test_sources_of_two_models_build_without_warnings_to_one_program(version, tm
 
 @needs_compiler
 def test_the_sources_refuse_a_build_without_infinities(tmp_path):
-    folder, files = sources(K1, "2.0")  # which would run, and be wrong by 7 rad/s in K4
+    folder, files = sources(K1, "2.0")  # they would run, and be wrong by 7 rad/s in K4
     flags = ["-Ofast", f"-I{FMI_HEADERS}", "-fsyntax-only", *(str(folder / file) for file in files)]
     run = subprocess.run([*find_compiler(), *flags], cwd=tmp_path, capture_output=True, text=True)
     assert run.returncode and "compile without -ffast-math" in run.stderr
 
 
-def test_only_the_standards_functions_are_seen_outside():
+def test_the_library_exports_only_the_standards_functions():
     library = exported(K1, "2.0").library("x86_64-linux")
     if not library.exists():
         pytest.skip("reads the symbols of a Linux library")
@@ -139,11 +139,11 @@ def test_only_the_standards_functions_are_seen_outside():
 
 
 @pytest.mark.slow  # ziglang builds a C library for each when it is used first
-def test_platforms_are_in_one_file_if_asked_for(tmp_path, monkeypatch):
+def test_one_fmu_can_hold_libraries_for_several_platforms(tmp_path, monkeypatch):
     pytest.importorskip("ziglang")
-    quickly = "-O0", "-fno-sanitize=undefined"  # which ziglang adds to -O0
+    quickly = "-O0", "-fno-sanitize=undefined"  # with -O0 ziglang sanitizes, if not told otherwise
     monkeypatch.setattr(build, "FLAGS", (*build.FLAGS, *quickly))
-    rest = {*PLATFORMS} - {"x86_64-windows", "aarch64-linux", "wasm32"}  # which other tests run
+    rest = {*PLATFORMS} - {"x86_64-windows", "aarch64-linux", "wasm32"}  # other tests have these
     path = export_fmu(cs.load_scene("C1"), tmp_path / "C1.fmu", "3.0", platforms=sorted(rest))
     names = zipfile.ZipFile(path).namelist()
     for platform in rest:
@@ -154,7 +154,7 @@ def test_platforms_are_in_one_file_if_asked_for(tmp_path, monkeypatch):
     ("target", "version"),
     [pytest.param("x86_64-windows", "2.0", marks=pytest.mark.slow), ("aarch64-linux", "3.0")],
 )
-def test_another_platform_finds_the_same_trajectory(target, version, tmp_path):
+def test_windows_and_arm_libraries_give_the_same_trajectory(target, version, tmp_path):
     pytest.importorskip("ziglang")
     scene = cs.load_scene("K2")
     path = export_fmu(scene, tmp_path / "K2.fmu", version, platforms=("native", target))
@@ -162,7 +162,7 @@ def test_another_platform_finds_the_same_trajectory(target, version, tmp_path):
     if "windows" in target:
         assert b"\0K2.dll\0" in fmu.library(target).read_bytes()
     asked = re.findall(rb"GLIBC_2\.(\d+)", fmu.library(target).read_bytes())
-    assert all(int(minor) <= 17 for minor in asked)  # it loads where Linux is old
+    assert all(int(minor) <= 17 for minor in asked)  # so that it loads in old systems
     arguments = ("0.01", "100", *fmu.model_arguments(fmu.outputs))
     try:
         found, wanted = (
@@ -174,7 +174,7 @@ def test_another_platform_finds_the_same_trajectory(target, version, tmp_path):
     assert difference(fmu.outputs, found, wanted) < 1e-14
 
 
-def test_a_compiler_that_fails_is_quoted(tmp_path, monkeypatch):
+def test_the_error_of_a_failed_build_quotes_the_compiler(tmp_path, monkeypatch):
     pytest.importorskip("ziglang")
     monkeypatch.setattr(build, "UNITS", (one := tmp_path / "one.c",))
     one.write_text("#error no such thing\n")
@@ -192,7 +192,9 @@ def command(*words: str) -> int:
     return args.run(args)
 
 
-def test_command_writes_a_valid_fmu_and_says_so(tmp_path, monkeypatch, capsys):
+def test_the_command_fmu_writes_a_valid_file_and_prints_what_it_holds(
+    tmp_path, monkeypatch, capsys
+):
     path = tmp_path / "planner.fmu"
     given = ("C2", "-o", str(path), "--fmi", "3.0", "--interfaces", "CoSimulation")
     assert command(*given) == 0
@@ -209,7 +211,7 @@ def test_command_writes_a_valid_fmu_and_says_so(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("name", "version"), [*zip(cs.bundled_scenes(), itertools.cycle(["2.0", "3.0"]))]
 )
-def test_every_scene_agrees_with_the_results_that_its_file_holds(name, version, tmp_path, capsys):
+def test_every_scenes_fmu_agrees_with_the_reference_results_in_it(name, version, tmp_path, capsys):
     path = tmp_path / f"{name}.fmu"
     arrays = ["--arrays"] if version == "3.0" else []
     assert command(name, "-o", str(path), "--fmi", version, "--check", *arrays) == 0
@@ -223,7 +225,7 @@ def test_every_scene_agrees_with_the_results_that_its_file_holds(name, version, 
         check_fmu(path)
 
 
-def test_the_file_of_any_name_can_be_written_on_any_system(monkeypatch, tmp_path):
+def test_scenes_of_any_name_have_file_names_that_every_system_allows(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     names = {"é" * 300: "é" * 50, "../x": "x"}
     for name, stem in names.items():
@@ -233,7 +235,7 @@ def test_the_file_of_any_name_can_be_written_on_any_system(monkeypatch, tmp_path
     assert (tmp_path / f"{'é' * 50}.fmu").exists()
 
 
-def test_a_path_that_cannot_be_written_to_is_refused(tmp_path, monkeypatch):
+def test_files_folders_interfaces_and_platforms_that_cannot_be_are_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
     for words, said in (
@@ -251,7 +253,7 @@ def test_a_path_that_cannot_be_written_to_is_refused(tmp_path, monkeypatch):
         command("K9")
 
 
-def test_a_file_is_replaced_only_by_a_valid_one(tmp_path, monkeypatch):
+def test_an_existing_fmu_is_replaced_only_by_a_valid_one(tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1")
     path = tmp_path / "one.fmu"
     path.write_bytes(b"old")
@@ -260,7 +262,7 @@ def test_a_file_is_replaced_only_by_a_valid_one(tmp_path, monkeypatch):
     assert path.read_bytes() == b"old"
     write_fmu(path, {"first": b"1"})
     found = [(file.filename, file.date_time[0]) for file in zipfile.ZipFile(path).infolist()]
-    assert (found, [*tmp_path.iterdir()]) == ([("first", 1980)], [path])  # zip's first year
+    assert (found, [*tmp_path.iterdir()]) == ([("first", 1980)], [path])  # zip knows none before
 
 
 @pytest.mark.parametrize(

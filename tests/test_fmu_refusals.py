@@ -1,4 +1,4 @@
-"""What FMUs and slaves refuse, in which words, and that they live on."""
+"""What FMUs and slaves refuse, with which messages, and that they work afterwards."""
 
 from __future__ import annotations
 
@@ -8,33 +8,30 @@ import math
 
 import numpy as np
 import pytest
-from conftest import one_contact
+from conftest import of_blocks, of_kinds, of_versions, one_contact
 
 import contact_system as cs
 
 fmpy = pytest.importorskip("fmpy")
 
-from fmu_hosts.blocks import BLOCKS, Instance, close, simulated, simulated_states  # noqa: E402
+from fmu_hosts.blocks import Instance, close, simulated, simulated_states  # noqa: E402
 
 from fmu_export import PlannerSlave2, PlannerSlave3, variable_table  # noqa: E402
 
-of_blocks = pytest.mark.parametrize(("kind", "version"), BLOCKS)
-of_kinds = pytest.mark.parametrize("kind", ["FMU", "slave"])
-of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])
 K1, K3, K4 = (cs.load_scene(name) for name in ("K1", "K3", "K4"))
 PUSH = "contact[1].finger.acceleration.u"
 BALL = cs.ParametricSurface(
     ("r*sin(u)*cos(v)", "r*sin(u)*sin(v)", "r*cos(u)"), parameters={"r": 0.1}, size=0.1
 )
 LINE = {"profile[1]": 0.3, "profile[2]": -0.2, "profile[3]": 0.0}
-"""sigma, zero at 1.5 s."""
+"""Start values of a profile that is zero at 1.5 s and negative afterwards."""
 
 
 # --- values
 
 
 @of_blocks
-def test_wrong_values_are_refused_by_name_value_and_remedy_and_the_instance_lives(kind, version):
+def test_wrong_values_are_refused_by_name_value_and_remedy_and_change_nothing(kind, version):
     one = Instance(K1, kind, version).begin()
     inputs = [v.name for v in one.table.rows if v.causality == "input"]
     before = one.everything()
@@ -54,7 +51,7 @@ def test_wrong_values_are_refused_by_name_value_and_remedy_and_the_instance_live
     one.refused("value reference 4000", read, [4000])
     one.refused("value reference 4000", write, [4000], [1.0])
     good, bad = (one.reference(f"contact[{k}].finger.acceleration.u") for k in (1, 2))
-    one.refused("nan", write, [good, bad], [0.3, math.nan])  # all of a call or none
+    one.refused("nan", write, [good, bad], [0.3, math.nan])  # a call sets all its values or none
     assert np.array_equal(one.everything(), before)
     one.step(1.0)
     close(one.states(), cs.plan(K1).states(1.0)[0])
@@ -77,14 +74,14 @@ OF_QUADRIC = next(v.name for v in variable_table(RINGED).rows if v.name.startswi
         (RINGED, {OF_QUADRIC: 5.0}, r" = 5(.0)? is refused now: it is constant, as the numbers of"),
     ],
 )
-def test_numbers_that_do_not_go_together_are_refused(scene, start, words, kind, version):
+def test_start_values_that_contradict_each_other_are_refused(scene, start, words, kind, version):
     one = Instance(scene, kind, version)
     one.refused(words, lambda: one.begin(start=start))
     Instance(K3, kind, version).begin(start={"object.a": 0.15, "object.b": 0.12})
 
 
 @of_blocks
-def test_a_start_without_a_contact_frame_is_refused(kind, version):
+def test_a_start_at_a_pole_or_with_its_frame_off_the_surface_is_refused(kind, version):
     at_pole = one_contact(BALL, object_at=(0.3, 0.5), duration=0.1)
     for scene, start, words in (
         (at_pole, {"contact[1].object.frame.u": 0.0}, "the path reaches a singular point"),
@@ -95,7 +92,7 @@ def test_a_start_without_a_contact_frame_is_refused(kind, version):
 
 
 @of_blocks
-def test_a_measured_pose_without_a_contact_is_discarded(kind, version):
+def test_a_measured_pose_whose_bodies_do_not_touch_is_refused_and_then_ignored(kind, version):
     events = {"eventModeUsed": True} if version == "3.0" else {}
     one, other = (Instance(K4, kind, version, measured="pose", **events).begin() for _ in range(2))
     for block in (one, other):
@@ -113,7 +110,7 @@ def test_a_measured_pose_without_a_contact_is_discarded(kind, version):
 
 @of_kinds
 def test_start_values_can_be_read_before_initialization(kind):
-    """FMI 3.0.2, 2.3.2: of the description, or as they were set; FMI 2 has no values yet."""
+    """FMI 3.0.2, 2.3.2: those of the description or those set. FMI 2 has no values before."""
     one = Instance(K1, kind, "3.0")
     one.put({"gain.eta": 7.0})
     point = K1.contacts[0].object_at[0]
@@ -127,14 +124,14 @@ def test_start_values_can_be_read_before_initialization(kind):
 
 
 @of_blocks
-def test_wrong_steps_are_refused_and_the_instance_lives(kind, version):
+def test_steps_of_wrong_size_or_time_are_refused_and_the_instance_works_on(kind, version):
     one = Instance(K1, kind, version).begin(stop=0.9)
     one.step(0.5)
     for step in (-0.1, 0.0, math.nan):
         one.refused("give a positive", one.own.doStep, 0.5, step)
     for time in (0.4, 0.5 + 1e-6):
         one.refused("instance stands at t = 0.5", one.own.doStep, time, 0.1)
-    one.own.doStep(0.5 + 1e-12, 0.1)  # importers add up steps
+    one.own.doStep(0.5 + 1e-12, 0.1)  # by rounding, where an importer adds up steps
     for start, stop in ((-1.0, None), (math.nan, None), (1.0, 0.5)):
         other = Instance(K1, kind, version)
         other.refused("give 0 <= start", other.begin, start, stop)
@@ -160,7 +157,7 @@ def test_calls_out_of_order_are_refused(kind, version):
     assert one.get("contact[1].object.u") == pytest.approx(K1.contacts[0].object_at[0], rel=1e-15)
 
 
-def test_missing_functions_are_refused_in_words():
+def test_functions_that_the_model_has_no_use_for_are_refused_by_name():
     two, three = (Instance(K1, "slave", version).begin() for version in ("2.0", "3.0"))
     two.refused("fmi2SetInteger: there are no variables of", two.own.setInteger, [1], [1])
     three.refused("fmi3GetInt32: there are no variables of", three.own.getInt32, [1])
@@ -180,7 +177,7 @@ def test_missing_functions_are_refused_in_words():
 
 
 @of_blocks
-def test_what_is_refused_is_told_though_logging_is_off(kind, version, caplog):
+def test_refusals_are_logged_even_with_logging_off(kind, version, caplog):
     one = Instance(K1, kind, version)
     if kind == "slave":  # without a logger of the user's own
         one.own = {"2.0": PlannerSlave2, "3.0": PlannerSlave3}[version](K1)
@@ -189,10 +186,10 @@ def test_what_is_refused_is_told_though_logging_is_off(kind, version, caplog):
     with caplog.at_level(logging.INFO, "fmu_export"):
         one.refused("", one.put, {"gain.eta": -1.0})
         one.refused("", one.own.doStep, 0.0, -0.1)
-    told = [r.getMessage() for r in caplog.records] or [f"{c}: {text}" for _, c, text in one.said]
-    assert told[-1].startswith("logStatusError: ")
+    lines = [r.getMessage() for r in caplog.records] or [f"{c}: {text}" for _, c, text in one.said]
+    assert lines[-1].startswith("logStatusError: ")
     if kind == "slave":
-        assert told[0] == "logStatusDiscard: gain.eta = -1 is refused; give 0 or more"
+        assert lines[0] == "logStatusDiscard: gain.eta = -1 is refused; give 0 or more"
 
 
 def test_options_of_the_wrong_kind_are_refused():
@@ -201,11 +198,12 @@ def test_options_of_the_wrong_kind_are_refused():
             PlannerSlave3(one_contact(), **{option: wrong})
 
 
-# --- where sigma or the path ends
+# --- where sigma turns negative or the path ends
 
 
 @pytest.mark.parametrize(("version", "end"), [("2.0", 1.4), ("3.0", 1.5)])
-def test_an_importer_stops_where_sigma_ends(version, end):
+def test_an_importer_stops_where_sigma_turns_negative(version, end):
+    # FMI 2 has no early return: at the last communication point before
     scene, given = K1.replace(profile=cs.Profile([0.3, -0.2])), {"output_interval": 0.2}
     given |= {"early_return_allowed": True} if version == "3.0" else {}
     result = simulated(scene, "FMU", version, stop_time=3.0, **given)
@@ -213,7 +211,9 @@ def test_an_importer_stops_where_sigma_ends(version, end):
 
 
 @of_blocks
-def test_sigma_that_falls_from_zero_is_refused_at_the_start(kind, version):
+def test_a_profile_that_is_negative_at_the_start_is_refused_there_and_later_ones_at_their_step(
+    kind, version
+):
     one = Instance(K1, kind, version)
     start = LINE | {"profile[1]": 0.0}
     one.refused("is negative", lambda: one.begin(start=start))
@@ -224,8 +224,8 @@ def test_sigma_that_falls_from_zero_is_refused_at_the_start(kind, version):
 
 
 @of_blocks
-def test_sigma_that_touches_zero_does_not_end_there(kind, version):
-    # 0.7 (t - 0.4)^2, in doubles -3e-17 m/s where it is least
+def test_a_profile_that_touches_zero_up_to_rounding_does_not_end_the_motion(kind, version):
+    # 0.7 (t - 0.4)^2, whose least value in doubles is -3e-17 m/s
     start = {"profile[1]": 0.112, "profile[2]": -0.56, "profile[3]": 0.7}
     one = Instance(K1, kind, version).begin(start=start)
     one.step(1.0)
@@ -233,7 +233,7 @@ def test_sigma_that_touches_zero_does_not_end_there(kind, version):
 
 
 @of_versions
-def test_model_exchange_ends_where_sigma_does(version):
+def test_model_exchange_ends_where_sigma_turns_negative(version):
     scene = K1.replace(profile=cs.Profile([*LINE.values()]), duration=1.5)
     options = {"fmi_type": "ModelExchange", "solver": "CVode", "start_values": LINE}
     options |= {"output_interval": 0.05, "step_size": 0.05}
@@ -246,12 +246,12 @@ def test_model_exchange_ends_where_sigma_does(version):
 
     def update():
         own = one.own
-        told = own.newDiscreteStates() if version == "2.0" else own.updateDiscreteStates()
-        events.append((told[-1] if told[-2] else None, bool(told[1])))
+        flags = own.newDiscreteStates() if version == "2.0" else own.updateDiscreteStates()
+        events.append((flags[-1] if flags[-2] else None, bool(flags[1])))  # next event, terminate
 
     update()
     one.own.enterContinuousTimeMode()
-    one.own.setTime(1.55)  # a solver looks beyond the end of its last step, where the path rests
+    one.own.setTime(1.55)  # solvers evaluate beyond the event before they find it: the path rests
     assert one.get(rate)[0] == pytest.approx(0.0, abs=1e-15)
     one.own.setTime(1.5)
     one.own.enterEventMode()
@@ -282,7 +282,7 @@ def test_model_exchange_has_no_values_at_a_pole_of_a_users_chart(version):
 
 @of_blocks
 def test_after_a_step_that_failed_a_shorter_one_may_be_tried(kind, version):
-    """FMI 2.0.4, 4.2.2, fmi2Discard; FMI 3.0.2, 2.2.3: the contacts are as they were."""
+    """FMI 2.0.4, 4.2.2, fmi2Discard; FMI 3.0.2, 2.2.3: the failed step has changed nothing."""
     scene = one_contact(profile=(0.3, -0.3))
     one = Instance(scene, kind, version).begin(start={PUSH: 0.1})
     one.step(0.5)
@@ -304,16 +304,16 @@ def test_a_step_that_would_take_too_many_pieces_is_refused(version):
     one = Instance(K4, "FMU", version).begin(start=start | {"profile[2]": 0.0, "profile[3]": 0.0})
     one.refused("too long", one.step, 50.0)
     one.step(1e-3)
-    one.put({PUSH: 1e100})  # nor are there derivatives, at the states of a time before
+    one.put({PUSH: 1e100})  # no plan can be made with it, and so there are no derivatives
     one.refused("too long", one.directional, ["der(contact[1].frame.slip.x)"], [PUSH], [1.0])
 
 
 @of_blocks
 @pytest.mark.parametrize(("profile", "at"), [((0.0, 1.0), 0.0), ((0.09, -0.6, 1.0), 0.3)])
-def test_an_acceleration_of_a_path_at_rest_is_taken_and_the_step_refused(
+def test_an_acceleration_where_sigma_is_zero_can_be_set_and_read_but_no_step_be_made(
     profile, at, kind, version
 ):
-    """Values stay to be read, all but the rates and their derivatives."""
+    """All values but the rates and their derivatives can still be read."""
     scene = one_contact(profile=profile, duration=0.2)
     one = Instance(scene, kind, version).begin()
     if at:
@@ -333,15 +333,17 @@ def test_an_acceleration_of_a_path_at_rest_is_taken_and_the_step_refused(
 
 
 @of_blocks
-def test_an_acceleration_of_a_path_at_rest_has_no_rate_and_no_derivative(kind, version):
+def test_an_acceleration_where_sigma_is_zero_makes_rates_and_their_derivatives_invalid(
+    kind, version
+):
     one = Instance(one_contact(profile=(0.0, 1.0)), kind, version)
     one.own.enterInitializationMode()
     rate = "der(contact[1].frame.velocity.x)"
     words = r"der\(contact\[1\].frame.velocity.x\) has no value at t = 0 s: sigma is zero"
     one.refused(words, one.directional, [rate], [PUSH], [1.0])
     one.put({PUSH: 0.5})
-    if version == "3.0":  # of no contact's own known either
+    if version == "3.0":  # nor with respect to a known that it does not depend on
         one.refused(words, one.product, "Adjoint", [rate], ["contact[1].finger.radius"], [1.0])
-    one.refused(words, one.get, rate)  # 4e+297, with status OK
+    one.refused(words, one.get, rate)  # this once was 4e+297 with status OK
     one.put({PUSH: 0.0})
     assert one.get(rate) == [0.0]

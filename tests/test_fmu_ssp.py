@@ -1,4 +1,4 @@
-"""Systems of planners and other FMUs, run by fmpy's SSP simulation."""
+"""SSP systems of planners and other FMUs, run by fmpy."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ STEP, SLIP, PUSH = 0.01, "contact[1].slip_speed", "contact[1].finger.acceleratio
 LEFT, RIGHT = one_contact(), one_contact("ellipsoid", object_velocity="rolling")
 
 
-def test_a_planner_is_pushed_by_another_models_output(tmp_path):
-    """fmpy passes on the outputs of the previous step."""
+def test_an_output_of_one_model_disturbs_a_planner(tmp_path):
+    """fmpy gives a model at each step the outputs of others from the step before."""
     other = export_fmu(LEFT, tmp_path / "other.fmu")
     wires = [(f"wind.{SLIP}", f"hand.{PUSH}"), (f"hand.{SLIP}", "slip")]
     assert read_ssd(str(export_ssp({"alone": LEFT}, tmp_path / "alone.ssp")))
@@ -40,7 +40,7 @@ def test_a_planner_is_pushed_by_another_models_output(tmp_path):
     assert result["slip"].tolist() == slips and max(slips) > 1e-6
 
 
-def test_disturbances_come_in_through_the_system_and_planners_do_not_mix(tmp_path):
+def test_an_input_of_the_system_disturbs_the_connected_planner_and_no_other(tmp_path):
     wires = [("push", f"../right.{PUSH}"), (f"100%.{SLIP}", "first")]
     wires += [(f"../right.{SLIP}", "second")]
     path = export_ssp({"100%": LEFT, "../right": RIGHT}, tmp_path / "two.ssp", iter(wires))
@@ -52,14 +52,14 @@ def test_disturbances_come_in_through_the_system_and_planners_do_not_mix(tmp_pat
     assert [c.name for c in read_ssd(str(path)).system.connectors] == ["push", "first", "second"]
     given = {"push": lambda t: 0.5 if t < 0.2 else 0.0}
     result = simulate_ssp(str(path), stop_time=0.5, step_size=STEP, input=given)
-    window = cs.FingerAcceleration(0, STEP, 0.2 + STEP, (0.5, 0.0))  # a step late, as above
+    window = cs.FingerAcceleration(0, STEP, 0.2 + STEP, (0.5, 0.0))  # a step late in fmpy
     for name, scene in (("first", LEFT), ("second", RIGHT.replace(disturbances=[window]))):
         t = np.minimum(STEP * np.arange(1, len(result) + 1), scene.duration)
         slip = cs.plan(scene, 1e-14).slip_speed(t)[:, 0]
         assert result[name] == pytest.approx(slip, abs=1e-12) and slip.max() > 1e-6
 
 
-def test_a_connector_of_an_enumeration_is_valid(tmp_path):
+def test_a_variable_of_an_enumeration_type_can_be_connected(tmp_path):
     mode = """<fmiModelDescription fmiVersion="2.0" modelName="a" guid="a">
       <CoSimulation modelIdentifier="a"/><TypeDefinitions><SimpleType name="T"><Enumeration>
       <Item name="on" value="1"/></Enumeration></SimpleType></TypeDefinitions><ModelVariables>
@@ -70,7 +70,7 @@ def test_a_connector_of_an_enumeration_is_valid(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.fmu", "w") as archive:
         archive.writestr("modelDescription.xml", mode)
     path = export_ssp({"a": tmp_path / "a.fmu"}, tmp_path / "a.ssp", [("pick", "a.mode")])
-    assert [c.name for c in read_ssd(str(path)).system.connectors] == ["pick"]  # validates it
+    assert [c.name for c in read_ssd(str(path)).system.connectors] == ["pick"]  # valid by schema
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_a_connector_of_an_enumeration_is_valid(tmp_path):
         *(({"a": x}, "models: 'a' = .*neither a Scene nor an FMU") for x in ("K1", 3)),
     ],
 )
-def test_models_must_be_a_dict_of_scenes_and_fmus(models, words, tmp_path):
+def test_models_that_are_not_a_dict_of_scenes_and_fmus_are_refused(models, words, tmp_path):
     with pytest.raises(cs.ContactSystemError, match=words):
         export_ssp(models, tmp_path / "none.ssp")
 
@@ -96,7 +96,7 @@ def test_models_must_be_a_dict_of_scenes_and_fmus(models, words, tmp_path):
         *((wires, "^connections.* give pairs") for wires in (["in"], [5], [(1, 2)], 5)),
     ],
 )
-def test_wrong_connections_are_refused(wires, words, tmp_path):
+def test_connections_of_wrong_names_directions_or_kind_are_refused(wires, words, tmp_path):
     with pytest.raises(cs.ContactSystemError, match=words):
         export_ssp({"a": LEFT}, tmp_path / "none.ssp", wires)
     assert not (tmp_path / "none.ssp").exists()

@@ -1,4 +1,4 @@
-"""Geodesics between two points: they end there, they are the shortest, and what is refused."""
+"""Geodesics between two points: they end there and are the shortest; what is refused."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def pairs(surface: cs.Surface, n: int) -> np.ndarray:
     return np.random.default_rng(5).uniform(-1, 1, (2, n, 2)) * reach
 
 
-def off(surface: cs.Surface, line: cs.Geodesic, b: np.ndarray) -> float:
-    """How far from b a line ends, of the size."""
+def miss(surface: cs.Surface, line: cs.Geodesic, b: np.ndarray) -> float:
+    """How far from b a line ends, over the surface's size."""
     return np.linalg.norm(line.points(line.length) - b, axis=-1).max() / surface.size
 
 
@@ -35,22 +35,22 @@ def off(surface: cs.Surface, line: cs.Geodesic, b: np.ndarray) -> float:
     [ELLIPSOID, TORUS, HILLS, cs.Torus(0.3, 0.03), cs.Ellipsoid(1.0, 0.5, 0.15), BOX],
     ids=["ellipsoid", "torus", "chart", "slim torus", "flat ellipsoid", "rounded box"],
 )
-def test_random_pairs_are_met_and_both_ways_are_equally_long(surface):
+def test_geodesics_end_at_b_and_are_as_long_from_b_to_a(surface):
     a, b = pairs(surface, 20)
     there, back = cs.geodesic(surface, a, b), cs.geodesic(surface, b, a)
-    # of the size, times what a length of many radii of curvature adds
     assert there.length == pytest.approx(back.length, rel=1e-12, abs=1e-12 * surface.size)
     for x, y, length in zip(a, b, there.length):
         line = cs.geodesic(surface, x, y)
         assert line.length == pytest.approx(length, rel=1e-12)
-        grown = max(1.0, abs(line.m12) / surface.size)
-        assert off(surface, line, surface.point(*y)) <= 2e-14 * grown
+        grown = max(1.0, abs(line.m12) / surface.size)  # as an error of direction grows
+        assert miss(surface, line, surface.point(*y)) <= 2e-14 * grown
 
 
-PIECES = {"sphere": 12, "cylinder": 12, "torus": 1, "ellipsoid": 2, "spheroid": 8}
+# How many steps of a reference its curve is certainly the shortest between the ends.
+SHORTEST = {"sphere": 12, "cylinder": 12, "torus": 1, "ellipsoid": 2, "spheroid": 8}
 
 
-@pytest.mark.parametrize(("name", "steps"), PIECES.items())
+@pytest.mark.parametrize(("name", "steps"), SHORTEST.items())
 def test_lengths_agree_with_references_of_30_digits(name, steps):
     given = load("geodesics")["geodesics"][name]
     x, t = given["points"], given["times"]
@@ -74,12 +74,13 @@ def test_ellipsoids_of_revolution_agree_with_geographiclib(f):
     degrees = np.degrees([lat[0], lon[0], lat[1], lon[1]]).T.tolist()
     known = [inverse(*place, geographiclib.Geodesic.ALL) for place in degrees]
     assert line.length == pytest.approx([w["s12"] for w in known], abs=1e-12)
-    for name in ("m12", "M12", "M21"):  # of two that are equally long it takes any one
+    # the first 22 pairs have several lines of almost one length, and either may be the one found
+    for name in ("m12", "M12", "M21"):
         given = np.array([w[name] for w in known])[22:]
         assert getattr(line, name)[22:] == pytest.approx(given, abs=1e-11)
 
 
-def test_a_quadric_has_the_geodesics_of_its_ellipsoid():
+def test_a_turned_quadric_has_the_geodesics_of_its_ellipsoid():
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     quadric = cs.Quadric(turn @ np.diag([0.3**-2, 0.2**-2, 0.1**-2]) @ turn.T)
     a, b = (ELLIPSOID.point(*w.T) for w in pairs(ELLIPSOID, 30))
@@ -87,7 +88,7 @@ def test_a_quadric_has_the_geodesics_of_its_ellipsoid():
     assert cs.geodesic(quadric, a @ turn.T, b @ turn.T).length == pytest.approx(known, rel=1e-12)
 
 
-def test_closed_forms():
+def test_geodesics_on_sphere_plane_and_cylinder_have_their_closed_forms():
     a, b = pairs(ELLIPSOID, 30)
     ball = cs.Sphere(0.1)
     line = cs.geodesic(ball, *(np.abs(w) for w in (a, b)))
@@ -109,31 +110,31 @@ def test_closed_forms():
     assert [w.m12 for w in ways] == pytest.approx([w.length for w in ways])
 
 
-def test_poles_umbilics_and_antipodes():
+def test_geodesics_begin_and_end_at_umbilics_poles_and_antipodes():
     line = cs.geodesic(ELLIPSOID, UMBILIC, OPPOSITE)
-    half = 0.6 * ellipe(1 - (0.1 / 0.3) ** 2)  # of the ellipse through all umbilics
+    half = 0.6 * ellipe(1 - (0.1 / 0.3) ** 2)  # half the ellipse through all umbilics
     assert line.length == pytest.approx(half, rel=1e-12)
     assert math.isnan(line.direction) and abs(line.m12) <= 1e-12
     ball = cs.Sphere(0.1)
     line = cs.geodesic(ball, (0, 0, 0.1), (0, 0, -0.1))
     assert line.length == pytest.approx(0.1 * math.pi, abs=1e-13)
-    assert off(ball, line, np.array([0, 0, -0.1])) <= 1e-12
+    assert miss(ball, line, np.array([0, 0, -0.1])) <= 1e-12
     assert abs(line.tangent @ line.tangent - 1) <= 1e-14
     seam = cs.geodesic(ELLIPSOID, (1.0, math.pi / 2 - 0.1), (-1.0, math.pi / 2 - 0.1))
     assert seam.length < 0.2
     ways = cs.geodesics(TORUS, (0.0, 0.0), (math.pi, 0.0), 6)
     assert len(ways) == 6 and all(x.length <= y.length + 1e-12 for x, y in zip(ways, ways[1:]))
     for way in ways:
-        assert off(TORUS, way, TORUS.point(math.pi, 0.0)) <= 1e-12
+        assert miss(TORUS, way, TORUS.point(math.pi, 0.0)) <= 1e-12
 
 
-def test_the_first_of_several_joins_close_points_directly():
+def test_the_first_of_several_geodesics_between_close_points_is_the_direct_one():
     for surface, apart in (ELLIPSOID, 1e-2), (ELLIPSOID, 1e-6), (TORUS, 1e-4):
         ends = surface, (1.0, 0.2), (1.0, 0.2 + apart)
         assert cs.geodesics(*ends, 3)[0].length == pytest.approx(cs.geodesic(*ends).length, 1e-9)
 
 
-def test_both_of_two_lines_beside_a_fold_of_the_fan_are_found():
+def test_two_geodesics_of_almost_one_length_beside_a_caustic_are_both_found():
     cube = cs.ImplicitSurface("x**4 + y**4 + z**4 - 1")
     ends = (2.68596, 0.23846), (1.4668, 0.76518)
     there, back = (cs.geodesics(cube, *way, 5) for way in (ends, ends[::-1]))
@@ -141,17 +142,17 @@ def test_both_of_two_lines_beside_a_fold_of_the_fan_are_found():
     assert there[3].m12 * there[4].m12 < 0 < there[4].length - there[3].length < 1e-4
 
 
-def test_a_leg_in_the_direction_of_a_geodesic_ends_where_it_does():
+def test_a_leg_of_a_geodesics_direction_and_length_ends_where_it_does():
     a, b = (1.0, 0.2), (2.0, 1.0)
     line = cs.geodesic(ELLIPSOID, a, b)
-    leg = cs.Leg(-line.direction, line.length, 1.0)  # y axes of the bodies point opposite ways
+    leg = cs.Leg(-line.direction, line.length, 1.0)  # the bodies' y axes are opposite at psi = 0
     contact = cs.Contact(cs.Sphere(0.04), object_at=a, finger_velocity=(1, 0), legs=[leg])
     scene = cs.Scene(object=ELLIPSOID, contacts=[contact], duration=1.0, profile=cs.Profile([0.1]))
     end = cs.plan(scene, 1e-14).points(1.0)[0, 0, 1]
     assert end == pytest.approx(ELLIPSOID.point(*b), abs=1e-12 * ELLIPSOID.size)
 
 
-def test_lines_twice_round_a_waist_end_at_their_point():
+def test_geodesics_more_than_once_around_a_waist_end_at_b():
     waist, b = cs.Quadric(np.diag([1.0, 1.0, -1.0])), (-1.0, 0.0, 0.0)
     for k, line in enumerate(cs.geodesics(waist, (1.0, 0.0, 0.0), b, 4)):
         assert line.length == pytest.approx((math.pi, 3 * math.pi)[k > 1], abs=1e-11)
@@ -165,25 +166,28 @@ def test_lines_twice_round_a_waist_end_at_their_point():
         (cs.Torus(1.0, 0.02), (-1.38, 1.377), (1.88, 1.895), 1e7),
     ],
 )
-def test_neighbours_of_the_shortest_line_may_part_fast(slim, a, b, parts):
+def test_the_shortest_line_is_found_where_neighbouring_lines_diverge_fast(slim, a, b, parts):
     there, back = cs.geodesic(slim, a, b), cs.geodesic(slim, b, a)
     assert there.length == pytest.approx(back.length, rel=1e-12)
     assert there.m12 > parts * slim.size
-    way = (2.48, -2.98)  # another point, over which it is no shorter
-    round_about = cs.geodesic(slim, [a, way], [way, b]).length.sum()
-    assert there.length <= round_about
+    way = (2.48, -2.98)  # over another point the way is longer
+    assert there.length <= cs.geodesic(slim, [a, way], [way, b]).length.sum()
 
 
-def test_lines_over_the_rim_of_a_disc():
+def test_a_line_over_the_rim_of_a_disc_is_the_shortest_and_as_long_as_back():
     places = np.array([(0.7, -0.3), (3.0, 1.3)])
     x, y = np.cos(places[:, 1]) * np.exp(1j * places[:, 0])
     rim = np.exp(1j * np.linspace(0.0, 2 * math.pi, 10000))
     shortest = np.min(np.abs(x - rim) + np.abs(rim - y))
     line = cs.geodesic(cs.Ellipsoid(1.0, 1.0, 1e-3), *places)
     assert line.length == pytest.approx(shortest, abs=1e-3)
+    disk = cs.Ellipsoid(0.1, 0.07, 0.0003)
+    a, b = (disk.coordinates(x) for x in ([0.0533, -0.0011, -0.0003], [-0.0696, -0.0502, 7e-6]))
+    there, back = cs.geodesic(disk, a, b).length, cs.geodesic(disk, b, a).length
+    assert there == pytest.approx(back, rel=1e-9) and there < 0.14
 
 
-def test_arrays_of_pairs_give_arrays_of_results():
+def test_geodesics_of_arrays_of_points_have_their_broadcast_shape():
     a, b = np.array([[[1.0, 0.2]], [[0.5, 0.3]]]), np.array([(2.0, 1.0), (1.5, 0.9), (2.5, 0.1)])
     lines = cs.geodesic(ELLIPSOID, a, b)
     assert lines.length.shape == lines.direction.shape == lines.m12.shape == (2, 3)
@@ -211,19 +215,12 @@ SHEETS = cs.Quadric(np.diag([1.0, -1.0, -1.0]))
         (BALL, (0.0, 0.0), (1.0, 0.0), "no contact frame at a or b"),
     ],
 )
-def test_wrong_arguments_of_geodesic_are_refused(surface, a, b, says):
+def test_points_that_no_geodesic_can_join_are_refused(surface, a, b, says):
     with pytest.raises(cs.SurfaceError, match=says):
         cs.geodesic(surface, a, b)
 
 
-def test_a_line_over_the_rim_of_a_thin_disk_is_as_long_as_back():
-    disk = cs.Ellipsoid(0.1, 0.07, 0.0003)
-    a, b = (disk.coordinates(x) for x in ([0.0533, -0.0011, -0.0003], [-0.0696, -0.0502, 7e-6]))
-    there, back = cs.geodesic(disk, a, b).length, cs.geodesic(disk, b, a).length
-    assert there == pytest.approx(back, rel=1e-9) and there < 0.14
-
-
-def test_wrong_arguments_of_geodesics_and_points_are_refused():
+def test_refusals_of_several_geodesics_and_of_lengths():
     with pytest.raises(cs.SurfaceError, match="most = 0"):
         cs.geodesics(ELLIPSOID, (1, 1), (2, 1), 0)
     with pytest.raises(cs.SurfaceError, match="the same point"):

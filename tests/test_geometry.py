@@ -1,4 +1,4 @@
-"""Charts and metric quantities against their definitions, differentiated by mpmath."""
+"""Charts and metric quantities against their definitions, by mpmath's derivatives of charts."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def by_definition(chart: Chart, u: float, v: float) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("name", CASES)
 def test_metric_quantities_follow_their_definitions(name, inside):
     surface, chart = CASES[name]
-    if inside:  # v is turned over, and the normal with it
+    if inside:  # v changes its sign, and the normal with it
         surface, chart = (
             dataclasses.replace(surface, inside=True),
             lambda u, v: CASES[name][1](u, -v),
@@ -150,7 +150,7 @@ AXES = [
 
 
 @pytest.mark.parametrize("axes", AXES)
-def test_ellipsoid_chart_is_the_printed_one_and_its_inverse_holds_at_seam_and_umbilics(axes):
+def test_the_ellipsoids_chart_is_the_printed_one_and_invertible_at_seams_and_umbilics(axes):
     surface, random = Ellipsoid(*axes), np.random.default_rng(4)
     u, v = random.uniform(-3, 3, (2, 20))
     with mp.workdps(60):

@@ -1,4 +1,4 @@
-"""Hands that hold and turn objects: plans, refusals, and short simulations."""
+"""Hands that hold and turn objects: their plans, what is refused, short simulations."""
 
 import dataclasses
 import math
@@ -26,7 +26,7 @@ from drake_plant.station import BuildHandStation
 H2 = cs.load_scene("H2")
 
 
-def made(scene=H2, **changes):
+def hand_plan(scene=H2, **changes):
     """A scene's plan, with changes to its [drake] table."""
     scene = scene.replace(drake={**scene.drake, **changes})
     return plan_reorientation(StationConfig.from_scene(scene).hand, scene)
@@ -35,24 +35,24 @@ def made(scene=H2, **changes):
 @pytest.mark.parametrize("name", ["H2", "H3"])
 def test_fingers_of_a_plan_roll_and_press_as_the_object_needs(name):
     scene = cs.load_scene(name)
-    plan = made(scene)
-    assert plan.slip.max() < 1e-8  # by contact_system's own sensor
+    plan = hand_plan(scene)
+    assert plan.slip.max() < 1e-8
     assert np.trace(plan.object_pose[-1]) == pytest.approx(2 + 2 * np.cos(0.6266), abs=0.01)
     weight = plan.config.object_mass * plan.config.gravity
     np.testing.assert_allclose(plan.forces.sum(axis=1), [[0, 0, weight]] * len(plan.t), atol=1e-6)
     assert plan.cones.max() <= 0.8 + 1e-6
     assert (plan.q >= plan.chains.lower).all() and (plan.q <= plan.chains.upper).all()
-    if name == "H3":  # by its equation it is the same object
+    if name == "H3":  # the plan is the same for the ellipsoid written as a quadric
         axes = np.array([scene.object.a, scene.object.b, scene.object.c])
-        same = made(scene.replace(object=cs.Quadric(np.diag(axes**-2))))
+        same = hand_plan(scene.replace(object=cs.Quadric(np.diag(axes**-2))))
         np.testing.assert_allclose(same.forces, plan.forces, rtol=0, atol=1e-7)
 
 
-def test_fingers_of_six_joints_follow_routes_of_reach(tmp_path):
+def test_fingers_of_six_joints_follow_routes_of_reach_and_can_be_filmed(tmp_path):
     scene = cs.load_scene("H5")
     table = {key: value for key, value in scene.drake.items() if key != "hand"}
     plan = plan_reorientation(Hand(joints=6), scene.replace(drake=table))
-    assert plan.slip.max() < 1e-8 and made().route is None
+    assert plan.slip.max() < 1e-8 and hand_plan().route is None
     points = cs.plan(plan.route).points(plan.t - plan.t[0])
     np.testing.assert_allclose(plan.points, points, atol=1e-11)
     simulate_hand(plan, 0.01, recording=tmp_path / "film.html")
@@ -80,14 +80,14 @@ def test_fingers_of_six_joints_follow_routes_of_reach(tmp_path):
 )
 def test_what_a_hand_cannot_do_is_refused_with_the_reason(changes, words):
     with pytest.raises(cs.SceneError, match=".*".join(words)):
-        made(**changes)
+        hand_plan(**changes)
 
 
-AROUND = own_hand([0, 2 * math.pi / 3, -2 * math.pi / 3])
+OWN_HAND = own_hand([0, 2 * math.pi / 3, -2 * math.pi / 3])  # the SDF text of the package's hand
 
 
-def in_file(folder, text, name="mine.sdf"):
-    """The table of a hand that is read from a file."""
+def file_table(folder, text, name="mine.sdf"):
+    """The [drake.hand] table of a hand whose model is read from a file of this text."""
     (folder / name).write_text(text)
     return {"model": str(folder / name), "tips": [f"tip_{i}" for i in range(3)]}
 
@@ -103,33 +103,37 @@ def in_file(folder, text, name="mine.sdf"):
         ("<upper>1.7</upper>", "", "joint finger_0_joint_3 .* one limit alone"),
     ],
 )
-def test_what_a_model_cannot_do_is_refused_with_the_reason(tmp_path, old, new, words):
+def test_what_a_hand_of_a_users_model_cannot_do_is_refused(tmp_path, old, new, words):
     with pytest.raises(cs.SceneError, match=words):
-        made(hand=in_file(tmp_path, re.sub(old, new, AROUND)), move=[0, 0.9, 0])
+        hand_plan(hand=file_table(tmp_path, re.sub(old, new, OWN_HAND)), move=[0, 0.9, 0])
 
 
-def test_a_model_of_a_hundredth_of_the_mass_moves_as_the_own_hand(tmp_path, monkeypatch):
+def test_a_users_model_a_hundred_times_lighter_moves_as_the_packages_hand(tmp_path, monkeypatch):
     (tmp_path / "package.xml").write_text("<package><name>light</name></package>")
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
     text = re.sub(
         "(<mass>|<i..>|<effort>|<damping>|'drake'>)([^<]+)",
         lambda found: f"{found[1]}{0.01 * float(found[2])}",
-        AROUND.replace("finger_0_joint_1", "object").replace(
+        OWN_HAND.replace("finger_0_joint_1", "object").replace(
             '<link name="palm">', '<link name="palm"><pose>0 0 0.02 0 0 0</pose>'
         ),
     )
     contacts = [dataclasses.replace(c, name=x) for c, x in zip(H2.contacts, ("hand", "b", "c"))]
     light = {key: 0.01 * H2.drake[key] for key in ("object_mass", "finger_mass", "stiffness")}
-    light |= {"normal_force": 0.02, "contact_model": "point", "hand": in_file(tmp_path, text)}
+    light |= {
+        "normal_force": 0.02,
+        "contact_model": "point",
+        "hand": file_table(tmp_path, text),
+    }
     light["hand"] |= {"model": "package://light/mine.sdf", "base": [0, 0, -0.13]}
-    plan = made(H2.replace(contacts=contacts), **light)
-    np.testing.assert_allclose(plan.q, made(contact_model="point").q, atol=1e-6)
+    plan = hand_plan(H2.replace(contacts=contacts), **light)
+    np.testing.assert_allclose(plan.q, hand_plan(contact_model="point").q, atol=1e-6)
     told = hand_report(pickle.loads(pickle.dumps(simulate(plan.scene, duration=0.3))))
     assert told.off.max() < 1e-5 and told.slipped.max() < 1e-4 and not told.lost.any()
 
 
 @pytest.mark.parametrize("joints", [4, 6])
-def test_a_path_of_drake_is_followed(joints):
+def test_a_hand_moves_the_object_along_a_trajectory_of_drakes(joints):
     goal = RigidTransform(RotationMatrix.MakeXRotation(0.2), [0.0, 0.005, 0.0])
     path = PiecewisePose.MakeLinear([0.0, 4.0], [RigidTransform(), goal])
     plan = plan_reorientation(Hand(joints=joints), H2, path=path)
@@ -144,7 +148,7 @@ def test_a_path_of_drake_is_followed(joints):
 
 
 @pytest.mark.parametrize(("part", "before"), [(1.0, 2e-6), (1.3, 1e-3)])
-def test_an_object_heavier_than_planned_rests_before_and_after_a_path_of_ones_own(part, before):
+def test_even_an_object_heavier_than_planned_rests_before_and_after_a_users_path(part, before):
     ends = [RigidTransform(), RigidTransform(RotationMatrix.MakeZRotation(0.06), [0, 0, 0.01])]
     path = PiecewisePose.MakeCubicLinearWithEndLinearVelocity([0.0, 0.3], ends)
     names = {name: getattr(path, name) for name in ("GetPose", "GetVelocity", "GetAcceleration")}
@@ -164,19 +168,20 @@ def test_an_object_heavier_than_planned_rests_before_and_after_a_path_of_ones_ow
         simulator.Initialize()
 
 
-def test_slip_of_a_pushed_finger_is_fed_back():
+def test_slip_feedback_makes_a_pushed_finger_slip_less():
     push = {"on": "finger 1", "start": 0.1, "stop": 0.15, "force": [0, 0, 5]}
     changes = {"contact_model": "point", "friction": 0.4, "pushes": [push]}
     open_loop, closed = (
-        hand_report(simulate_hand(made(**changes, slip_gain=gain), 0.2)) for gain in (0.0, 800.0)
+        hand_report(simulate_hand(hand_plan(**changes, slip_gain=gain), 0.2))
+        for gain in (0.0, 800.0)
     )
     assert closed.slipped[0] < 0.7 * open_loop.slipped[0] and open_loop.slipped[0] > 1e-3
     push["force"] = [0, 0, 30]
-    assert np.abs(simulate_hand(made(**changes), 0.15).torque).max() == 0.7  # the joints' limit
+    assert np.abs(simulate_hand(hand_plan(**changes), 0.15).torque).max() == 0.7  # joints' limit
 
 
 @pytest.mark.parametrize("model", ["point", "hydroelastic"])
-def test_a_ball_ends_where_it_should(model):
+def test_a_ball_that_a_hand_turns_ends_where_it_was_planned(model):
     scene = H2.replace(duration=0.5, drake={**H2.drake, "turn": [[3, 0, 4]], "normal_force": 0.5})
     told = hand_report(simulate(scene, StationConfig.from_scene(scene, contact_model=model)))
     assert told.off[-1] < 1e-4 and told.turned_off[-1] < math.radians(0.1)
@@ -184,24 +189,33 @@ def test_a_ball_ends_where_it_should(model):
     assert told.torque_share.max() < 1 and told.room.min() > 0
 
 
-def test_a_ball_that_is_lowered_as_planned_does_not_fall(tmp_path):
+@pytest.fixture
+def cartesian(tmp_path):
+    """The table of a hand, an MJCF file without gravity: tips on three slides, in a ball."""
     slides = "".join(f'<joint type="slide" axis="{x}"/>' for x in ("1 0 0", "0 1 0", "0 0 1"))
     tip = f"<body name='tip_%d'>{slides}<geom size='1' mass='1'/></body>"
-    text = "<geom size='1'/>" + "".join(tip % i for i in range(3))  # round all else
-    text = f"<mujoco model='m'><option gravity='0 0 0'/><worldbody>{text}</worldbody></mujoco>"
-    hand = in_file(tmp_path, text, "mine.xml") | {"pad": 1}
-    drake = {**H2.drake, "turn": [], "move": [0, 0, -0.03], "contact_model": "point", "hand": hand}
+    bodies = "<geom size='1'/>" + "".join(tip % i for i in range(3))
+    text = f"<mujoco model='m'><option gravity='0 0 0'/><worldbody>{bodies}</worldbody></mujoco>"
+    return file_table(tmp_path, text, "mine.xml") | {"pad": 1}
+
+
+def test_gravity_and_walls_of_a_hands_file_and_the_scenes_motion_do_not_matter(cartesian):
+    drake = {**H2.drake, "turn": [], "move": [0, 0, -0.03], "contact_model": "point"}
+    drake["hand"] = cartesian
     moving = [dataclasses.replace(contact, finger_velocity=(1.0, 0.0)) for contact in H2.contacts]
     scene = H2.replace(duration=0.3, profile=cs.Profile([2.0]), contacts=moving, drake=drake)
-    result = simulate(scene)  # to which the scene's own motion does not matter
+    result = simulate(scene)  # lowers the ball as planned
     assert not object_report(result).falls and hand_report(result).off.max() < 1e-4
+
+
+def test_a_contact_that_rolls_beyond_a_cylinders_end_is_refused(cartesian):
     around = [dataclasses.replace(c, object_at=c.object_at[::-1]) for c in H2.contacts]
-    can = scene.replace(object=cs.Cylinder(0.05), contacts=around, drake=H2.drake)
+    scene = H2.replace(object=cs.Cylinder(0.05), contacts=around)
     with pytest.raises(cs.SceneError, match="rolls off the object's end: .* 0.02 m beyond"):
-        made(can, turn=[[150, 0, 0]], hand=hand)
+        hand_plan(scene, turn=[[150, 0, 0]], hand=cartesian)
 
 
-def test_the_command_line_tells_of_a_hand(tmp_path, capsys):
+def test_the_command_drake_reports_a_hands_forces_angles_and_room(tmp_path, capsys):
     words = ["drake", "H4", "--until", "0.1", "--no-recording", "--out", str(tmp_path)]
     assert main([*words, "--set", "drake.contact_model=point"]) == 0
     printed = " ".join(capsys.readouterr().out.split())

@@ -1,4 +1,4 @@
-"""Paths with corners: what turns there, what is continuous, and what is refused."""
+"""Paths of legs: corners, slip across them, disturbances within them, files, what is refused."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def test_curves_turn_by_the_legs_directions_on_both_bodies_and_have_their_length
             normal = surface.normal(*surface.coordinates(at))
             one, other = at - before, after - at
             angle = math.atan2(np.cross(one, other) @ normal, one @ other)
-            seen = turn if side == 0 else -turn  # R_psi mirrors: the normals are opposite
-            assert math.remainder(angle - seen, 2 * math.pi) == pytest.approx(0.0, abs=2e-3)
+            expected = turn if side == 0 else -turn  # on the object, whose normal is opposite
+            assert math.remainder(angle - expected, 2 * math.pi) == pytest.approx(0.0, abs=2e-3)
     t = np.linspace(0.0, 3.0, 20001)
     for side in (0, 1):
         steps = np.linalg.norm(np.diff(plan.points(t)[:, 0, side], axis=0), axis=1)
@@ -47,7 +47,7 @@ def test_curves_turn_by_the_legs_directions_on_both_bodies_and_have_their_length
 
 
 @pytest.mark.parametrize("name", OBJECTS)
-def test_slip_goes_on_dying_across_corners_and_the_pose_moves_by_the_twist(name):
+def test_slip_decays_across_corners_by_the_gain_and_the_pose_moves_by_the_twist(name):
     gain = cs.Gain.time(3.0)
     plan = cs.plan(scene(OBJECTS[name], object_velocity=(0.5, 0.9), gain=gain, duration=3.5))
     t = np.linspace(0.01, 3.4, 120)
@@ -62,7 +62,7 @@ def test_slip_goes_on_dying_across_corners_and_the_pose_moves_by_the_twist(name)
     assert_twist_is_the_rate_of_the_pose(plan, t, 1e-9)
 
 
-def test_a_disturbance_acts_within_a_leg_of_its_own_profile():
+def test_a_disturbance_acts_across_the_end_of_a_leg_as_on_one_longer_leg():
     legs = [cs.Leg(0.3, None, 1.0, cs.Profile([0.1])), cs.Leg(0.3, None, 1.0, cs.Profile([0.1]))]
     window = cs.FingerAcceleration(0, 0.4, 1.4, (0.2, -0.1))
     joined = scene(OBJECTS["ellipsoid"], legs, disturbances=[window])
@@ -72,7 +72,7 @@ def test_a_disturbance_acts_within_a_leg_of_its_own_profile():
     assert cs.plan(joined).states(t) == pytest.approx(cs.plan(one).states(t), abs=1e-10)
 
 
-def test_legs_are_kept_in_files_and_by_each_contact(tmp_path):
+def test_legs_are_saved_and_each_contact_follows_its_own_and_rests_after_them(tmp_path):
     custom = cs.Leg(0.1, None, 1.0, cs.Profile([0.0, 0.1, -0.1]))
     first = scene(OBJECTS["ellipsoid"], np.array([*LEGS, custom]), name="turns")
     cs.save_scene(first, tmp_path / "turns.toml")
@@ -108,6 +108,6 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("message", REFUSED)
-def test_what_cannot_be_is_refused_with_the_remedy(message):
+def test_legs_that_cannot_be_followed_are_refused_with_the_remedy(message):
     with pytest.raises(cs.SceneError, match=message):
         REFUSED[message]()

@@ -1,4 +1,4 @@
-"""What a plan achieved, measured: slip beside its law, its rejection, great circles."""
+"""What is measured of plans: slip beside its law, times of rejection, great circles."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import math
 
 import numpy as np
 import pytest
-from conftest import busy, one_contact
+from conftest import disturbed, one_contact
 
 import contact_system as cs
 from contact_system import ContactSystemError, measures
 
 RESTING = {"profile": (0.2, -0.8, 0.8), "gain": cs.Gain.guaranteed(5.0)}  # at 0.5 s
-SCENES = [*map(cs.load_scene, ("K1", "K4", "chart", "torus")), busy(), one_contact(**RESTING)]
+SCENES = [*map(cs.load_scene, ("K1", "K4", "chart", "torus")), disturbed(), one_contact(**RESTING)]
 
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
-def test_dots_in_pictures_follow_the_exact_law_between_disturbances(scene):
+def test_the_exact_law_drawn_in_pictures_is_the_plans_slip_between_disturbances(scene):
     plan = cs.plan(scene)
     t, slip = measures.exact_slip(plan, 0)
     assert len(t) > 5
     windows = [(d.start, d.stop) for d in scene.disturbances if d.contact == 0]
     assert not any(((t > a) & (t < b)).any() for a, b in windows)
-    # where a window starts the law tells the slip just before
+    # at the start of a window the law gives the slip just before it
     before = np.where(np.isin(t, [start for start, _ in windows]), np.nextafter(t, 0), t)
     assert plan.slip_speed(before)[:, 0] == pytest.approx(slip, abs=1e-12 * slip.max())
     if scene.name == "K1":  # |V| = 1, and L = 100 int (0.001 + 0.4 t^2)^2 written out
@@ -46,7 +46,7 @@ def test_k1_recovers_within_the_reported_time_under_the_time_law():
         assert math.isinf(r.time) and r.as_reported is False
 
 
-def test_the_last_crossing_counts_where_slip_grows_before_it_falls():
+def test_recovery_is_the_last_time_that_slip_falls_below_a_twentieth():
     # slip sigma exp(-L): 0.01 (1 + 20 t) exp(-12 t) grows at first
     mpmath = pytest.importorskip("mpmath")
     scene = cs.load_scene("K1").replace(profile=cs.Profile([0.01, 0.2]), gain=cs.Gain.time(12))
@@ -69,13 +69,13 @@ def test_recovery_counts_from_the_end_of_the_last_disturbance():
         assert r.time == pytest.approx(float(truth) - 2, rel=1e-9)
 
 
-def test_an_offset_that_ends_leaves_nothing_to_recover_from():
+def test_recovery_from_a_rate_offset_takes_no_time_as_its_slip_ends_with_it():
     first, second, _ = cs.rejections(cs.plan(cs.load_scene("D1")))
     assert (first.since, first.time) == (2.5, 0.0) and first.peak > 0.1
     assert math.isnan(second.time) and second.peak == 0
 
 
-def test_distance_from_a_great_circle_is_zero_on_one_and_known_beside_one():
+def test_distance_from_a_great_circle_is_zero_on_it_and_that_of_a_circle_of_latitude():
     angle = np.linspace(0, 2 * math.pi, 60, endpoint=False)
     tilt = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     great = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1) @ tilt
@@ -88,12 +88,12 @@ def test_distance_from_a_great_circle_is_zero_on_one_and_known_beside_one():
 
 
 @pytest.mark.parametrize("measure", [cs.rejections, cs.summary])
-def test_a_scene_in_the_place_of_its_plan_is_refused(measure):
+def test_a_scene_given_instead_of_its_plan_is_refused(measure):
     with pytest.raises(ContactSystemError, match="plan = Scene.*: give a Plan, such as plan"):
         measure(cs.load_scene("K1"))
 
 
 @pytest.mark.parametrize("points", [[], np.zeros((5, 1, 2, 3)), [[0, 0, math.nan]], "plan", None])
-def test_a_great_circle_asks_for_points_of_one_curve(points):
+def test_great_circle_distance_refuses_what_is_not_points_of_one_curve(points):
     with pytest.raises(ContactSystemError, match=r"shape .*\(n, 3\), such as plan.points"):
         cs.great_circle_distance(points)

@@ -1,4 +1,4 @@
-"""Meshes for hydroelastic contact: right on average, conforming, with equal gaps along edges."""
+"""Meshes for hydroelastic contact: closed, on their surface, fine along the contact's curve."""
 
 import math
 
@@ -73,7 +73,7 @@ def hydroelastic(shape):
 
 
 @pytest.mark.parametrize("name", SOLIDS)
-def test_meshes_close_around_the_body_without_folds_and_face_outwards(name):
+def test_meshes_of_solids_are_closed_without_folds_face_outwards_and_keep_the_volume(name):
     surface, curve, true = SOLIDS[name]
     mesh = mesh_of(surface, curve, 3e-4)
     assert mesh.closed
@@ -97,11 +97,11 @@ def test_every_kind_of_surface_has_a_mesh_with_its_vertices_and_normals_on_it(na
     assert np.abs(normal[known] - mesh.normals[::37][known]).max() < 1e-6
 
 
-def test_a_strip_is_as_fine_as_the_whole_surface_would_be_and_no_vertex_hangs():
+def test_a_mesh_is_fine_in_a_strip_along_the_curve_coarse_elsewhere_and_closed():
     around = np.linspace(0, 2 * math.pi, 1000)
     surface, curve = cs.Sphere(1.0), np.stack([np.cos(around), np.sin(around), 0 * around], axis=1)
     strip = mesh_of(surface, curve, 3e-4, strip=0.02)
-    assert strip.closed and len(strip.triangles) < 80_000  # 1.2 million all over
+    assert strip.closed and len(strip.triangles) < 80_000  # 1.2 million if fine all over
     edge = np.linalg.norm(np.ptp(strip.points[strip.triangles], axis=1), axis=1)
     height = np.abs(strip.points[strip.triangles].mean(axis=1)[:, 2])
     fine = edge[height < 0.02]
@@ -110,7 +110,7 @@ def test_a_strip_is_as_fine_as_the_whole_surface_would_be_and_no_vertex_hangs():
 
 
 @pytest.mark.parametrize("name", ["sphere", "torus", "cylinder"])
-def test_tetrahedra_fill_the_fingertip(name):
+def test_drakes_tetrahedra_fill_a_compliant_fingertip(name):
     cylinder = cs.Cylinder(0.02), 0.02 * CIRCLE, math.pi * 0.02**2 * 0.06
     surface, curve, true = (SOLIDS | {"cylinder": cylinder})[name]
     mesh = mesh_of(surface, curve, 3e-4, opposing=10.0)
@@ -129,7 +129,7 @@ def test_a_chart_that_is_singular_within_the_mesh_is_refused_with_the_place():
         mesh_of(cone, cone.point(np.linspace(0.0, 0.1, 9), np.zeros(9)))
 
 
-def test_a_chart_that_covers_places_twice_is_meshed_in_ranges_that_do_not():
+def test_a_chart_that_covers_points_twice_is_refused_and_meshed_in_ranges_that_do_not():
     f = ("a*sin(u)*cos(v)", "a*sin(u)*sin(v)", "c*cos(u)")
     given = {"parameters": {"a": 0.1, "c": 0.13}, "size": 0.13, "v_period": 2 * math.pi}
     twice = cs.ParametricSurface(f, **given)

@@ -1,4 +1,4 @@
-"""A plan as an object: its arguments, its results for many contacts, and `explain`."""
+"""The interface of plans: times, arguments, several contacts, and what `explain` says."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from conftest import ASK, assert_same, busy, one_contact, several
-from oracles.formulas import slip_of_states
+from conftest import RESULTS, disturbed, one_contact, seven_contacts
 
 import contact_system as cs
 
@@ -16,47 +15,47 @@ SHAPES = {"states": (9,), "points": (2, 3), "slip": (2,), "acceleration": (2,), 
 SHAPES |= {"twist": (6,), "slip_speed": (), "carried": (2, 3)}
 
 
-# --- asking
+# --- results at times
 
 
-def test_results_have_times_first_and_contacts_second():
-    plan = cs.plan(several())
-    for ask, shape in SHAPES.items():
+def test_results_have_times_along_their_first_axis_and_contacts_along_their_second():
+    plan = cs.plan(seven_contacts())
+    for result, shape in SHAPES.items():
         for t, count in ((np.linspace(0, 1, 5), 5), (0.5, 1), ([], 0)):
-            assert getattr(plan, ask)(t).shape == (count, 7, *shape), ask
+            assert getattr(plan, result)(t).shape == (count, 7, *shape), result
 
 
-@pytest.mark.parametrize("scene", [busy, several], ids=["windows", "contacts"])
-def test_times_come_in_any_order(scene):
+@pytest.mark.parametrize("scene", [disturbed, seven_contacts], ids=["windows", "contacts"])
+def test_times_may_be_in_any_order(scene):
     plan = cs.plan(scene())
     t = np.random.default_rng(0).permutation(np.append(np.linspace(0, 1, 57), [0.5, 0.5, 0.2]))
-    for ask in ASK:
-        one_by_one = np.concatenate([getattr(plan, ask)(x) for x in t])
+    for result in RESULTS:
+        one_by_one = np.concatenate([getattr(plan, result)(x) for x in t])
         bar = 1e-14 * np.abs(one_by_one).max()
-        assert getattr(plan, ask)(t) == pytest.approx(one_by_one, abs=bar), ask
+        assert getattr(plan, result)(t) == pytest.approx(one_by_one, abs=bar), result
 
 
 @pytest.mark.parametrize("t", [-1e-9, 1.0000001, [0.5, 2.0], np.nan, np.inf])
 def test_time_outside_the_horizon_is_named_with_the_horizon(t):
     words = rf"'sphere on sphere': t = \S*{np.ravel(t)[-1]:.3g}.*the plan's horizon \[0, 1\] s"
     for plan in (cs.plan(one_contact()), cs.plan(one_contact(), method="chart")):
-        for ask in SHAPES.keys() - {"carried"}:  # which the chart method has not
+        for result in SHAPES.keys() - {"carried"}:  # the chart method has no carried frames
             with pytest.raises(cs.ContactSystemError, match=words):
-                getattr(plan, ask)(t)
+                getattr(plan, result)(t)
         assert (plan.points(1.0 + 1e-15) == plan.points(1.0)).all()
 
 
 @pytest.mark.parametrize(
     "t", ["0.5", [True], 0.5 + 0j, [[0.1], [0.2, 0.3]], [0.1, None], np.ma.array([0], mask=1)]
 )
-def test_what_is_no_time_is_refused(t):
+def test_times_that_are_not_numbers_are_refused(t):
     plan = cs.plan(one_contact())
-    for ask in SHAPES:
+    for result in SHAPES:
         with pytest.raises(cs.ContactSystemError, match="give a time in seconds, or one axis"):
-            getattr(plan, ask)(t)
+            getattr(plan, result)(t)
 
 
-def test_times_may_have_any_number_type_and_memory_layout(tmp_path):
+def test_times_may_be_any_real_numbers_in_any_array(tmp_path):
     plan = cs.plan(one_contact(duration=2.0))
     expected = plan.states([1.0, 2.0])
     fixed, mapped = np.array([1.0, 2.0]), np.memmap(tmp_path / "times", float, "w+", shape=(2,))
@@ -87,7 +86,8 @@ def test_wrong_arguments_of_plan_are_refused(given, words):
 
 @pytest.mark.parametrize("edge", [0.0675, 0.14, 0.7, 0.7 + 1e-15])
 def test_an_edge_on_a_sample_time_is_sampled_once(edge):
-    # The grid comes within rounding of it; differences over such a pair would mean nothing.
+    # The grid of samples has a time within rounding of the edge. Both would be a pair of which no
+    # finite difference can be formed.
     window = cs.FingerAcceleration(contact=0, start=edge, stop=0.8, value=(0.5, 0.5))
     times = cs.plan(one_contact(disturbances=(window,))).sample_times()
     assert len(times) == 401 and np.diff(times).min() > 0.0024
@@ -95,29 +95,32 @@ def test_an_edge_on_a_sample_time_is_sampled_once(edge):
 
 
 def test_contacts_together_move_as_each_alone():
-    scene, t = several(), np.linspace(0, 1, 41)
+    scene, t = seven_contacts(), np.linspace(0, 1, 41)
     together = cs.plan(scene)
     for i, contact in enumerate(scene.contacts):
         windows = [dataclasses.replace(d, contact=0) for d in scene.disturbances if d.contact == i]
         alone = cs.plan(scene.replace(contacts=[contact], disturbances=windows))
-        for ask in ASK:
-            expected = getattr(alone, ask)(t)[:, 0]
+        for result in RESULTS:
+            expected = getattr(alone, result)(t)[:, 0]
             bar = 1e-13 * max(1.0, np.abs(expected).max())
-            assert getattr(together, ask)(t)[:, i] == pytest.approx(expected, abs=bar), (ask, i)
+            assert getattr(together, result)(t)[:, i] == pytest.approx(expected, abs=bar), (
+                result,
+                i,
+            )
 
 
-def test_undisturbed_contact_is_not_integrated_because_another_is_disturbed():
+def test_a_contact_is_not_integrated_only_because_another_is_disturbed():
     others = cs.plan(cs.load_scene("D1")).explain().split("contacts 1, 2:")[1]
     assert "great circle" in others and "skipped: all integration" in others
     assert "panels" not in others
 
 
-# --- which way is taken
+# --- explain
 
 
 CIRCLE, ARC = "closed form: great circle", "geodesic in arc length"
 LINE = "closed form: straight line on the developed surface"
-WAYS = {  # of a path alone, and of one with slip
+METHODS = {  # of a path without slip, and of one with slip
     "sphere": (CIRCLE, "development in space"),
     "bowl": (CIRCLE, "development in space"),
     "plane": (LINE, "quadrature of slip"),
@@ -128,9 +131,9 @@ WAYS = {  # of a path alone, and of one with slip
 }
 
 
-@pytest.mark.parametrize("surface", WAYS)
-def test_each_body_takes_the_cheapest_exact_way(surface):
-    alone, slipping = WAYS[surface]
+@pytest.mark.parametrize("surface", METHODS)
+def test_explain_tells_the_method_for_each_body_the_cheapest_that_is_exact(surface):
+    alone, slipping = METHODS[surface]
     lines = cs.plan(one_contact(finger=surface)).explain().splitlines()
     assert [alone in line for line in lines if line.startswith("  finger")] == [True]
     assert slipping in cs.plan(one_contact(surface)).explain()
@@ -139,7 +142,7 @@ def test_each_body_takes_the_cheapest_exact_way(surface):
 
 
 def test_explain_names_scene_tolerance_intervals_and_causes():
-    text = cs.plan(busy(), tolerance=1e-10).explain()
+    text = cs.plan(disturbed(), tolerance=1e-10).explain()
     words = ["'sphere on ellipsoid'", "tolerance 1e-10", "method auto", "contact 0:"]
     words += ["[0.2, 0.3] s  forced development", "finger acceleration and object acceleration"]
     assert [w for w in (*words, "object rate offset", "object [0.8, 1] s") if w not in text] == []
@@ -155,21 +158,7 @@ def test_explain_tells_of_rate_offsets_and_of_rests():
     pytest.raises(cs.SceneError, scene.contraction).match("all have legs")
 
 
-# --- bundled scenes
-
-
-@pytest.mark.parametrize("name", cs.bundled_scenes())
-def test_every_bundled_scene_can_be_planned_and_asked(name):
-    plan = cs.plan(cs.load_scene(name))
-    t = plan.sample_times(31)
-    for ask in ASK:
-        assert np.isfinite(getattr(plan, ask)(t)).all(), ask
-    assert plan.slip(t) == pytest.approx(slip_of_states(plan.scene, plan.states(t)), abs=1e-12)
-    again = cs.plan(plan.scene.replace())
-    assert_same(again, plan, t[::-1], 0.0)
-
-
-def test_panels_are_a_budget_of_all_contacts_and_the_greediest_is_named(monkeypatch):
+def test_all_contacts_share_the_limit_of_panels_and_the_one_that_takes_most_is_named(monkeypatch):
     scene = cs.load_scene("K4")
     short, long = (
         dataclasses.replace(scene.contacts[0], finger_velocity=(speed, 0.0)) for speed in (1, 20)

@@ -1,4 +1,4 @@
-"""Pictures: the numbers that they show, and that files are written."""
+"""Pictures: visibility and names are checked, and that files come out; what is refused."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _ink(image) -> float:
     return float((np.asarray(image.convert("L")) < 250).mean())
 
 
-def test_points_behind_a_sphere_are_hidden_and_those_before_it_are_not():
+def test_points_behind_a_sphere_are_hidden_and_those_in_front_are_not():
     plan = cs.plan(_scene(cs.Sphere(0.1), at=(1.0, 0.2)))
     mesh = plots.mesh_of(plan, 1, [0])
     view = np.eye(3)  # the camera looks down the z axis
@@ -66,7 +66,9 @@ def test_every_kind_of_surface_can_be_drawn(name, tmp_path, pillow):
 
 
 @pytest.mark.parametrize("name", ["K1", "D1", "C1"])
-def test_slip_can_be_drawn_with_another_law_a_jump_and_without_slip(name, tmp_path, pillow):
+def test_slip_can_be_drawn_beside_another_law_with_a_jump_and_where_there_is_none(
+    name, tmp_path, pillow
+):
     scene = cs.load_scene(name)
     other = cs.plan(scene.replace(gain=cs.Gain.time(50))) if name == "K1" else None
     plots.plot_slip(cs.plan(scene), tmp_path / "x.png", other, dpi=40)
@@ -74,20 +76,20 @@ def test_slip_can_be_drawn_with_another_law_a_jump_and_without_slip(name, tmp_pa
         assert 0.01 < _ink(image) < 0.6
 
 
-def test_names_are_drawn_as_they_are(tmp_path):
+def test_names_and_descriptions_are_drawn_as_written_and_not_as_formulas(tmp_path):
     matplotlib = pytest.importorskip("matplotlib")
-    words = [r"costs $\foo$ and $5", r"$\bar{x$", r"half \frac{ of $x$"]  # no mathematics
+    words = [r"costs $\foo$ and $5", r"$\bar{x$", r"half \frac{ of $x$"]
     contact = cs.Contact(FINGER, (0.3, 0.2), name=words[1], legs=[cs.Leg(0, 0.1, 1)])
-    broken = words[2].replace(" ", "\n")  # and in one line
+    broken = words[2].replace(" ", "\n")  # it is drawn in one line
     scene = _scene(cs.Sphere(0.1), name=words[0], description=broken).replace(contacts=[contact])
-    words.append("σ of legs,   gain time, eta = 4")  # not the profile, which no contact has
+    words.append("σ of legs,   gain time, eta = 4")  # no contact follows the scene's profile
     with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text
         plots.plot(cs.plan(scene), tmp_path / "odd.svg")
     drawn = (tmp_path / "odd.svg").read_text()
     assert [f">{word}<" in drawn for word in words] == [True] * 4
 
 
-def test_curves_have_the_numbers_of_the_legend_and_share_them_where_they_coincide(tmp_path):
+def test_curves_are_numbered_as_in_the_legend_and_coinciding_ones_have_one_label(tmp_path):
     matplotlib = pytest.importorskip("matplotlib")
     named = [cs.Contact(finger=FINGER, object_at=(1.0, 0.2), name="finger 12")]
     alone, both = (_scene(cs.Sphere(0.1)).replace(contacts=k * named) for k in (1, 2))
@@ -111,7 +113,7 @@ def test_a_picture_that_cannot_be_written_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_scene_in_the_place_of_its_plan_is_refused(tmp_path):
+def test_a_scene_given_instead_of_its_plan_is_refused(tmp_path):
     scene = cs.load_scene("K1")
     calls = [(draw, scene) for draw in (plots.plot, plots.plot_slip, plots.plot_curves)]
     calls += [(draw, cs.plan(scene), scene) for draw in (plots.plot, plots.plot_slip)]

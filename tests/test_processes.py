@@ -1,6 +1,6 @@
-"""Processes: forks, exits and Ctrl-C while plans are made, growth of memory, odd surroundings.
+"""Forks, exits and Ctrl-C while plans are made, growth of memory, unusual environments.
 
-A program runs in a process of its own with a time limit.
+Each program runs in a process of its own with a time limit.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def start_planning():
 
 FORK = """
 import multiprocessing
-import contact_system  # Python's own locks of a module that is being imported outlast a fork
+import contact_system  # before: a fork while a module is being imported keeps Python's lock of it
 start_planning()
 time.sleep(float(sys.argv[1]))
 child = multiprocessing.get_context("fork").Process(target=lambda: print(*all_answers()))
@@ -67,7 +67,7 @@ child.start()
 child.join(15.0)
 if child.is_alive():
     child.kill()
-    os.kill(os.getpid(), signal.SIGALRM)  # the hang of a child is one of this process
+    os.kill(os.getpid(), signal.SIGALRM)  # so that the test sees the child's hang
 sys.stdout.flush()
 os._exit(child.exitcode and 1)
 """
@@ -96,7 +96,7 @@ print("ready", flush=True)
 try:
     import contact_system
 except BaseException:
-    pass  # Python itself may make another error of it, or lose it
+    pass  # Python itself may turn Ctrl-C into another error, or lose it
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 print(*all_answers())
 """
@@ -131,9 +131,9 @@ sys.exit(f"{peak() - before} MB" if peak() - before > 3 else 0)
 
 
 def ended(program: str, *arguments: str, interrupt: float | None = None) -> tuple[str, str]:
-    """How a program ends, with Ctrl-C so many seconds after it is ready: in a word, and its text.
+    """How a program ends, "right", "hang", "crash" or "error", and what it printed.
 
-    The word is "right", "hang", "crash" or "error".
+    ``interrupt``: it gets Ctrl-C so many seconds after it has printed that it is ready.
     """
     command = [sys.executable, "-c", WORK + program, *arguments]
     pipe = subprocess.PIPE
@@ -154,12 +154,12 @@ def ended(program: str, *arguments: str, interrupt: float | None = None) -> tupl
 
 
 @functools.cache
-def alone(what: str) -> tuple[str, str]:
-    """The end of a program that prints this and is not interrupted."""
-    return ended(f"print({what})")
+def undisturbed(answer: str) -> tuple[str, str]:
+    """How a program ends that prints this answer and gets no Ctrl-C."""
+    return ended(f"print({answer})")
 
 
-windows = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has no forks")
@@ -169,26 +169,26 @@ def test_a_process_may_be_forked_and_may_end_while_its_threads_plan(program, sec
     assert ended(program, seconds)[0] == "right"
 
 
-@windows
+@needs_signals
 @pytest.mark.parametrize(
     ("kind", "seconds"),
     [("bundled", 0.001), ("user", 0.005), ("user", 0.05), ("chart", 0.02), ("chart", 0.1)],
 )
 def test_ctrl_c_stops_a_first_plan_and_the_next_is_right(kind, seconds):
-    assert ended(CTRL_C, kind, interrupt=seconds) == alone(f"answer({kind}(0.2))")
+    assert ended(CTRL_C, kind, interrupt=seconds) == undisturbed(f"answer({kind}(0.2))")
 
 
-@windows
+@needs_signals
 @pytest.mark.parametrize(
     ("program", "seconds"),
     [(ENDLESS, None), (IMPORT, 0.01), (IMPORT, 0.04)],
     ids=["a user's endless function", "early in import", "late in import"],
 )
 def test_after_ctrl_c_plans_are_right(program, seconds):
-    assert ended(program, interrupt=seconds) == alone("*all_answers()")
+    assert ended(program, interrupt=seconds) == undisturbed("*all_answers()")
 
 
-@windows
+@needs_signals
 @pytest.mark.parametrize(("kind", "warm", "count"), [("bundled", 300, 500), ("user", 60, 60)])
 def test_memory_does_not_grow_with_plans_or_formulas(kind, warm, count):
     assert ended(GROWTH, kind, str(warm), str(count)) == ("right", "")
@@ -214,9 +214,9 @@ sys.exit((again != made.states([0.0, 1.0])).any() or not all_answers())
     ],
     ids=["no HOME, no TMPDIR", "wrong ones", "-O", "-W error"],
 )
-def test_plans_are_made_saved_and_read_in_odd_surroundings(tmp_path, options, environment):
+def test_plans_are_made_saved_and_read_in_unusual_environments(tmp_path, options, environment):
     kept = {name: os.environ[name] for name in ("PATH", "PYTHONPATH") if name in os.environ}
-    if sys.platform == "win32":  # a process without it does not start
+    if sys.platform == "win32":  # without it no process starts
         kept["SYSTEMROOT"] = os.environ["SYSTEMROOT"]
     command = [sys.executable, *options, "-c", WORK + SAVED]
     done = subprocess.run(

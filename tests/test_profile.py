@@ -1,4 +1,4 @@
-"""The path profile, gain laws and contraction, against mpmath, grids and the paper's numbers."""
+"""Path profile, gain laws and contraction against mpmath, values on grids, the paper's numbers."""
 
 import math
 from fractions import Fraction
@@ -18,14 +18,14 @@ GAINS = [Gain.path(100), Gain.time(30), Gain.guaranteed(5)]
 
 
 def contraction(profile: Profile, gain: Gain, duration: float) -> cs.Contraction:
-    """The contraction of a scene with this profile and gain."""
+    """The contraction report of a scene with this profile and gain."""
     contact = cs.Contact(finger=cs.Sphere(0.04), object_at=(0.0, 0.0))
     motion = {"profile": profile, "gain": gain, "duration": duration}
     return cs.Scene(object=cs.Plane(), contacts=[contact], **motion).contraction()
 
 
 def slip_factor(profile: Profile, gain: Gain, start: float, stop: float) -> float:
-    """Slip at stop over slip at start, from lam alone: its logarithm integrated by mpmath."""
+    """Slip at stop over slip at start, by mpmath's quadrature of the gain's rate."""
     kinks = np.polynomial.Polynomial(profile.coefficients).deriv().roots()
     knots = [start, *sorted(t.real for t in kinks if start < t.real < stop), stop]
     with mpmath.workdps(30):
@@ -37,7 +37,7 @@ def slip_factor(profile: Profile, gain: Gain, start: float, stop: float) -> floa
 
 
 @pytest.mark.parametrize("profile", [SLOW, MEDIUM, FAST, WAVY])
-def test_lengths_and_exponents_are_integrals(profile):
+def test_arc_length_and_exponent_are_the_integrals_of_sigma_and_of_the_rate(profile):
     def sigma(t):
         return sum(c * t**k for k, c in enumerate(profile.coefficients))
 
@@ -73,7 +73,7 @@ def test_extrema_are_the_sign_changes_of_the_rate():
     assert Profile([1, 0.09, -0.3, 1 / 3]).extrema(0, 1) == ()
 
 
-def test_times_that_are_no_numbers_are_named():
+def test_times_that_are_not_numbers_are_refused_by_name():
     for t in ("now", ["1.0"], 1j, [True], [[1.0], [2.0, 3.0]], None):
         with pytest.raises(SceneError, match=r"profile at t = .*: give times in seconds"):
             SLOW(t)
@@ -83,7 +83,7 @@ def test_times_that_are_no_numbers_are_named():
                 check(t)
 
 
-CANCELLING = np.polynomial.polynomial.polypow([0, 1, -1], 10)
+CANCELLING = np.polynomial.polynomial.polypow([0, 1, -1], 10)  # (t - t^2)^10
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ CANCELLING = np.polynomial.polynomial.polypow([0, 1, -1], 10)
         (CANCELLING, ["9.54e-07 m/s", "1.02e+03 m/s", "lower degree"]),
     ],
 )
-def test_a_profile_that_is_no_speed_is_refused_with_time_value_and_remedy(coefficients, words):
+def test_a_negative_or_zero_profile_is_refused_with_time_value_and_remedy(coefficients, words):
     with pytest.raises(SceneError) as error:
         Profile(coefficients).check(1.0 if max(coefficients) < 1e9 else 1e3)
     for word in words:
@@ -119,7 +119,7 @@ def test_the_guaranteed_law_ends_slip_at_once_where_sigma_starts_from_zero():
     start = Profile([0, 1])
     assert Gain.guaranteed(1).rate(start, 0.0) == math.inf
     assert Gain.guaranteed(1).exponent(start, np.array([0, 1e-9])).tolist() == [0, math.inf]
-    touching = Profile([0.09, -0.6, 1])  # at 0.3, up to rounding
+    touching = Profile([0.09, -0.6, 1])  # (t - 0.3)^2 up to rounding
     assert math.isfinite(Gain.guaranteed(1).exponent(touching, 0.3))
     assert Gain.guaranteed(1).exponent(touching, 0.4) == math.inf
 
@@ -152,14 +152,14 @@ def test_the_printed_gain_lets_slip_grow_and_a_constant_one_gives_the_reported_t
 @pytest.mark.parametrize(
     "profile, duration, least", [(SLOW, 1, 1.04e7), (MEDIUM, 4, 200), (FAST, 4, 0.2)]
 )
-def test_the_least_gain_of_the_papers_profiles(profile, duration, least):
+def test_the_least_contracting_gain_of_the_papers_profiles(profile, duration, least):
     report = contraction(profile, Gain.path(100), duration)
     assert report.least_eta == pytest.approx(least, rel=5e-3)
 
 
 @pytest.mark.parametrize("law", [Gain.path, Gain.time])
 @pytest.mark.parametrize("profile", [SLOW, MEDIUM, FAST, WAVY])
-def test_what_is_said_of_contraction_agrees_with_a_grid(law, profile):
+def test_the_contraction_report_agrees_with_values_on_a_grid(law, profile):
     t, power = np.linspace(0, 2, 4001), 3 if law == Gain.path else 1
     least = contraction(profile, law(1), 2).least_eta
     assert least == pytest.approx(np.max(profile.rate(t) / profile(t) ** power), rel=1e-4)
@@ -181,7 +181,8 @@ def test_what_is_said_of_contraction_agrees_with_a_grid(law, profile):
 TERMS = (3005.140316123623, -1740.44932927908, 376.8862626368542, -36.174215599025, 1.29901991098)
 
 
-def test_intervals_are_found_where_terms_of_the_cube_cancel():
+def test_intervals_of_contraction_are_exact_where_terms_of_sigma_cancel():
+    # slip contracts where sigma' < eta sigma^3, here judged by rational numbers
     intervals = contraction(Profile(TERMS), Gain.path(1.0), 7.9).intervals
     for t in map(Fraction, np.linspace(0.01, 7.89, 400).tolist()):
         sigma = sum(Fraction(x) * t**k for k, x in enumerate(TERMS))
@@ -192,14 +193,14 @@ def test_intervals_are_found_where_terms_of_the_cube_cancel():
 
 @pytest.mark.parametrize("law", [Gain.path, Gain.time])
 @pytest.mark.parametrize("c", [[0, 1], [0, 0, 1, -2, 1], [0.09, -0.6, 1]])
-def test_no_finite_gain_contracts_throughout_where_sigma_leaves_zero(law, c):
+def test_no_finite_gain_contracts_throughout_where_sigma_rises_from_zero(law, c):
     report = contraction(Profile(c), law(1e6), 1)
     assert report.least_eta == math.inf
     assert not report.throughout
     assert ("starts from zero" if c[0] == 0 else "touches zero on the way") in str(report)
 
 
-def test_gains_of_zero_and_next_to_zero():
+def test_whether_slip_contracts_throughout_under_gains_of_zero_and_nearly_zero():
     falling = contraction(Profile([1, -0.5]), Gain.path(0), 1)
     assert (falling.throughout, falling.least_eta) == (True, 0)
     assert not contraction(Profile([1]), Gain.time(0), 1).throughout
@@ -213,7 +214,7 @@ def test_gains_of_zero_and_next_to_zero():
     assert np.ravel(resting.intervals) == pytest.approx(turns, rel=1e-12)
 
 
-def test_the_report_reads_as_a_paragraph():
+def test_the_contraction_report_as_text_tells_law_intervals_growth_and_least_gain():
     text = str(contraction(SLOW, Gain.path(100), 1))
     for word in ("'path'", "eta sigma^2", "100", "[0.657, 1] s", "116 times", "1.04e+07"):
         assert word in text

@@ -1,4 +1,4 @@
-"""Legs from a start to a goal: they arrive, and what cannot be reached is refused."""
+"""Legs of `reach` arrive at their goals, loops turn fingers; what cannot be reached is refused."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ALMOST = {"spheres of almost one size": (cs.Sphere(0.039), cs.Sphere(0.04), 0)}
 
 
 @pytest.mark.parametrize("name", PAIRS | ALMOST)
-def test_random_goals_of_places_and_angle_are_reached(name):
+def test_random_goals_of_both_places_and_the_angle_are_reached(name):
     finger, obj, _ = (PAIRS | ALMOST)[name]
     rng = np.random.default_rng(3)
     for _ in range(4):
@@ -39,14 +39,15 @@ def test_random_goals_of_places_and_angle_are_reached(name):
         assert end[1] == pytest.approx(obj.point(*goal.object_at), abs=1e-12 * obj.size)
         psi = cs.plan(route.scene, 1e-14).states(3.0)[0, 0, 8]
         if finger.chart.double_cover or obj.chart.double_cover:
-            psi = math.remainder(2 * (psi - goal.angle), 2 * math.pi)  # covers turn frames by pi
+            # the two covers' frames differ by half a turn
+            psi = math.remainder(2 * (psi - goal.angle), 2 * math.pi)
         else:
             psi = math.remainder(psi - goal.angle, 2 * math.pi)
         assert abs(psi) < 1e-11
 
 
 @pytest.mark.parametrize("bodies", [ELLIPSOID, (cs.Sphere(0.02), cs.Torus(0.3, 0.05, inside=True))])
-def test_a_pose_that_can_be_rolled_to_is_a_goal(bodies):
+def test_a_pose_of_the_finger_can_be_the_goal(bodies):
     start = scene(*bodies)
     goal = cs.Goal(object_at=(2.8, 1.0), finger_at=(1.0, 0.5), angle=1.0)
     pose = cs.plan(cs.reach(start, goal).scene).pose(3.0)[0, 0]
@@ -56,7 +57,7 @@ def test_a_pose_that_can_be_rolled_to_is_a_goal(bodies):
     assert cs.reach(start, goal).length == 0.0 and goal == dataclasses.replace(goal) != other
 
 
-def test_a_pole_is_a_goal_if_no_angle_is():
+def test_poles_and_umbilics_can_be_goals_without_an_angle():
     route = cs.reach(
         scene(*ELLIPSOID), cs.Goal(finger_at=(0.0, 0.0), object_at=(0.0, 0.5 * math.pi))
     )
@@ -65,15 +66,15 @@ def test_a_pole_is_a_goal_if_no_angle_is():
 
 
 @pytest.mark.parametrize("legs", [2, 4])
-def test_more_legs_than_needed_make_up_for_slip(legs):
+def test_a_contact_that_slips_reaches_its_goal_by_more_legs_than_needed(legs):
     goal = cs.Goal(object_at=(2.0, 1.0))
     route = cs.reach(scene(*ELLIPSOID, object_velocity=(0.3, -0.5)), goal, legs=legs)
     assert len(route.legs[0]) == legs and route.residual <= 1e-12
 
 
 @pytest.mark.parametrize("eta", [20.0, 1.0])
-def test_every_contact_has_its_own_goal_or_rests(eta):
-    start, obj = scene(*ELLIPSOID, object_velocity=(0.3, -0.5)), ELLIPSOID[1]  # it slips
+def test_every_contact_reaches_its_own_goal_or_rests_without_one(eta):
+    start, obj = scene(*ELLIPSOID, object_velocity=(0.3, -0.5)), ELLIPSOID[1]  # the first slips
     start = start.replace(gain=cs.Gain.time(eta))
     fingers = [*ELLIPSOID[:1], cs.Ellipsoid(0.05, 0.04, 0.03), cs.Sphere(0.03)]
     contacts = [
@@ -88,7 +89,7 @@ def test_every_contact_has_its_own_goal_or_rests(eta):
     ]
     route = cs.reach(start.replace(contacts=contacts), goals)
     assert [len(legs) for legs in route.legs] == [1, 3, 1] and route.residual <= 1e-12
-    assert cs.plan(route.scene).slip_speed(0.1)[0, 0] > 1e-4  # gone at the goal
+    assert cs.plan(route.scene).slip_speed(0.1)[0, 0] > 1e-4  # it does slip on the way
     assert route.length == sum(leg.length for legs in route.legs for leg in legs)
     assert all(sum(leg.duration for leg in legs) == pytest.approx(3.0) for legs in route.legs)
     first, last = cs.plan(route.scene, 1e-14).points([0.0, 3.0])
@@ -101,7 +102,7 @@ def test_every_contact_has_its_own_goal_or_rests(eta):
     assert alone.points(t)[:, 0] == pytest.approx(cs.plan(route.scene, 1e-14).points(t)[:, 1])
 
 
-def test_legs_keep_to_a_greatest_length_and_time_makes_them_shorter():
+def test_no_leg_is_longer_than_asked_and_a_longer_search_finds_no_longer_route():
     start, goal = scene(*ELLIPSOID), cs.Goal(object_at=(2.0, 1.0), finger_at=(1.0, 0.5), angle=1.0)
     first, best = cs.reach(start, goal), cs.reach(start, goal, seconds=0.5)
     assert best.length <= first.length
@@ -109,29 +110,29 @@ def test_legs_keep_to_a_greatest_length_and_time_makes_them_shorter():
     assert max(leg.length for leg in itertools.chain(*short.legs)) <= 0.2 * (1 + 1e-12)
 
 
-def test_a_contact_stays_within_its_region_or_is_refused():
+def test_a_contact_stays_within_the_region_of_its_goal_or_the_goal_is_refused():
     start, place = scene(*ELLIPSOID), {"object_at": (1.1, 0.25), "finger_at": (1.2, 0.45)}
-    finger, obj = ELLIPSOID
-    free = cs.reach(start, cs.Goal(**place, angle=0.5))
+    free, obj = cs.reach(start, cs.Goal(**place, angle=0.5)), ELLIPSOID[1]
     t = np.linspace(0.0, 3.0, 400)
 
-    def reach_of(route):
-        points = cs.plan(route.scene).points(t)[:, 0]
-        centres = finger.point(1.1, 0.4), obj.point(1.0, 0.2)
-        return [np.linalg.norm(points[:, k] - x, axis=1).max() for k, x in enumerate(centres)]
+    def farthest(route):
+        """Greatest distance of the contact point on the object from its start."""
+        points = cs.plan(route.scene).points(t)[:, 0, 1]
+        return np.linalg.norm(points - obj.point(1.0, 0.2), axis=1).max()
 
-    narrow = 0.9 * reach_of(free)[1]  # and about a pole of the finger
+    narrow = 0.9 * farthest(free)
+    # the finger's region is about a pole of its chart
     regions = {"object_within": (1.0, 0.2, narrow), "finger_within": (0.0, 0.0, 0.06)}
     kept = cs.reach(start, cs.Goal(**place, angle=0.5, **regions))
-    assert kept.residual <= 1e-12 and reach_of(kept)[1] <= narrow * (1 + 1e-9)
+    assert kept.residual <= 1e-12 and farthest(kept) <= narrow * (1 + 1e-9)
     with pytest.raises(cs.SceneError, match="finger_within 0.02 m; widen"):
         cs.reach(start, cs.Goal(**place, angle=2.5, finger_within=(1.1, 0.4, 0.02)), legs=3)
 
 
-def test_a_sphere_on_a_plane_never_takes_longer_than_four_rolls():
+def test_a_sphere_rolls_straight_to_a_place_whole_revolutions_ahead_on_a_plane():
     finger, obj = cs.Sphere(0.04), cs.Plane()
-    for times in (1, 2):  # so many whole revolutions, twice, are a straight way
-        ahead = times * 4 * math.pi * 0.04
+    for times in (1, 2):
+        ahead = times * 4 * math.pi * 0.04  # two or four revolutions
         start = scene(finger, obj, object_at=(0.0, 0.0))
         goal = cs.Goal(object_at=(ahead, 0.0), finger_at=(1.1, 0.4), angle=0.3)
         route = cs.reach(start, goal)
@@ -140,8 +141,10 @@ def test_a_sphere_on_a_plane_never_takes_longer_than_four_rolls():
 
 
 LOOPS = [(*pair[:2], 0.7, "rolling") for pair in PAIRS.values()]
-TWICE = cs.ParametricSurface(("sin(u)*cos(v)", "sin(u)*sin(v)/2", "cos(u)"))
-LOOPS += [(cs.Ellipsoid(0.3, 0.2, 0.05), cs.Plane(), 0.7, "rolling"), (SMALL, TWICE, 1, "rolling")]
+# has a point at (u, v) and at (-u, v + pi)
+COVERED_TWICE = cs.ParametricSurface(("sin(u)*cos(v)", "sin(u)*sin(v)/2", "cos(u)"))
+LOOPS += [(cs.Ellipsoid(0.3, 0.2, 0.05), cs.Plane(), 0.7, "rolling")]
+LOOPS += [(SMALL, COVERED_TWICE, 1, "rolling")]
 LOOPS += [(SMALL, cs.Plane(), 1e-4, "rolling"), (cs.Sphere(3e-4), cs.Sphere(1.0), 0.7, "rolling")]
 LOOPS += [(*ELLIPSOID, 0.7, (0.5, -0.8))]
 
@@ -156,7 +159,8 @@ def test_a_loop_turns_the_finger_in_place_by_the_curvature_enclosed(finger, obj,
     assert not isinstance(obj, cs.Plane) or found.enclosed[1] == 0.0
 
 
-def _try(goal: dict, finger=SMALL, obj=ROUND, contact=None, **options) -> Callable[[], object]:
+def _reach(goal: dict, finger=SMALL, obj=ROUND, contact=None, **options) -> Callable[[], object]:
+    """A call that is refused."""
     return lambda: cs.reach(scene(finger, obj, **(contact or {})), cs.Goal(**goal), **options)
 
 
@@ -185,24 +189,24 @@ REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
     "no goal": ("goals given: 0; contacts: 1", lambda: cs.reach(scene(SMALL, ROUND), [])),
     "a table for a goal": ("give a Goal", lambda: cs.reach(scene(SMALL, ROUND), WHOLE)),
     "rests alone": ("every goal is None", lambda: cs.reach(scene(SMALL, ROUND), [None])),
-    "an angle at a pole": ("pole", _try({**WHOLE, "finger_at": (0.0, 0.0)})),
-    "almost equal spheres": ("almost .* more than 2 %", _try(WHOLE, obj=cs.Sphere(0.0401))),
-    "flat bodies": ("same Gaussian", _try(WHOLE, cs.Plane(), cs.Quadric(np.diag([90.0, 9, 0])))),
-    "mirror images": ("no path", _try(TWO_PLACES, TWIN, TWIN, MIRRORED)),
-    "a start outside its region": ("the start lies", _try({**PLACE, "finger_within": FAR})),
-    "a goal outside its region": ("the goal lies", _try({**PLACE, "object_within": NEAR})),
-    "a pad too small": ("widen", _try({**WHOLE, "finger_within": (1.1, 0.45, 0.007)})),
-    "legs too short": ("longer ones", _try(WHOLE, longest=0.01)),
-    "one leg for five numbers": ("at least", _try(WHOLE, legs=1)),
-    "bodies that do not touch": ("touch", _try({"pose": BESIDE}, legs=3)),
+    "an angle at a pole": ("pole", _reach({**WHOLE, "finger_at": (0.0, 0.0)})),
+    "almost equal spheres": ("almost .* more than 2 %", _reach(WHOLE, obj=cs.Sphere(0.0401))),
+    "flat bodies": ("same Gaussian", _reach(WHOLE, cs.Plane(), cs.Quadric(np.diag([90.0, 9, 0])))),
+    "mirror images": ("no path", _reach(TWO_PLACES, TWIN, TWIN, MIRRORED)),
+    "a start outside its region": ("the start lies", _reach({**PLACE, "finger_within": FAR})),
+    "a goal outside its region": ("the goal lies", _reach({**PLACE, "object_within": NEAR})),
+    "a pad too small": ("widen", _reach({**WHOLE, "finger_within": (1.1, 0.45, 0.007)})),
+    "legs too short": ("longer ones", _reach(WHOLE, longest=0.01)),
+    "one leg for five numbers": ("at least", _reach(WHOLE, legs=1)),
+    "bodies that do not touch": ("touch", _reach({"pose": BESIDE}, legs=3)),
     "rolling that is imposed": ("two numbers", lambda: cs.reach(FOLLOWING, cs.Goal(**PLACE))),
-    "no direction": ("direction", _try(WHOLE, contact={"finger_velocity": (0.0, 0.0)})),
+    "no direction": ("direction", _reach(WHOLE, contact={"finger_velocity": (0.0, 0.0)})),
     "disturbances": ("change its path", lambda: cs.reach(PUSHED, cs.Goal(**WHOLE))),
     "one of two fingers": ("contact 1", lambda: cs.reach(TWO, [None, cs.Goal(**BEYOND)])),
     "a loop of no turn": ("no turn", lambda: cs.loop(scene(SMALL, ROUND), 2 * math.pi)),
     "a loop of a third finger": ("0 to 1", lambda: cs.loop(TWO, 1.0, contact=2)),
 }
-"""What is asked for, a part of the answer, and how it is asked."""
+"""What is refused: a part of the error's text, and the call."""
 
 
 @pytest.mark.parametrize("name", sorted(REFUSED))
@@ -212,7 +216,7 @@ def test_what_cannot_be_reached_is_refused_with_the_reason(name):
         ask()
 
 
-def test_the_command_writes_a_scene_that_arrives(tmp_path, capsys):
+def test_the_command_reach_writes_a_scene_that_ends_at_the_goal(tmp_path, capsys):
     file = tmp_path / "mine.toml"
     cs.save_scene(scene(*ELLIPSOID).replace(name="mine", paper={"reports": "that"}), file)
     to = 'object_at = ["4 / 2", 1], finger_at = [1, 0.5], angle = 1'

@@ -1,4 +1,4 @@
-"""Plans against references of 25 digits that know nothing of this package (tests/oracles).
+"""Plans against references of 25 digits that were made without this package (tests/oracles).
 
 Contact points, geodesics and charts are judged by `benchmarks.accuracy`.
 """
@@ -34,7 +34,7 @@ def true_values(file: str, name: str, key: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("section", accuracy.SECTIONS)
-def test_the_bars_of_accuracy_are_met(section):
+def test_the_accuracy_benchmarks_bars_are_met(section):
     for bar in accuracy.SECTIONS[section](False):
         assert bar.met, bar.row()
 
@@ -44,19 +44,19 @@ def test_states_and_slip_agree_with_the_reference(file, name):
     record = reference(file)["scenes"][name]
     plan, times = cs.plan(scene_of(record)), record["times"]
     truth = true_values(file, name, "states")
-    # rates of the finger reach sigma / radius; the ellipsoid's own, more where its chart is narrow
+    # rates of the finger reach sigma/radius, those of an ellipsoid more where its metric is small
     scale = np.maximum(1.0, np.abs(truth).max((0, 1)))
     assert (np.abs(plan.states(times) - truth) / scale).max() <= 1e-12
     truth = true_values(file, name, "slip")
     slip, path_speed = np.linalg.norm(truth, axis=-1).max(), plan.scene.profile(times).max()
-    # An acceleration's slip is integrated as a part of the path velocity, and exact as such.
+    # slip under an acceleration is integrated: exact to digits of the path speed, not of itself
     bar = 1e-13 * path_speed if plan.scene.disturbances else 1e-12 * slip
     assert np.abs(plan.slip(times) - truth).max() <= bar
 
 
 def test_directions_of_geodesics_agree_with_the_reference():
-    # At unit speed: the finger is a plane and does not slip, so its contact point moves along
-    # R_21 w1, the velocity of the contact point in the object's frame.
+    # The finger is a plane that rolls at unit speed: the geodesic's direction is R_21 w1, the
+    # contact point's velocity on the finger in the object's frame.
     contacts = []
     for u, v, a in reference("ellipsoid_geodesics")["start"]:
         w = np.array([np.cos(a), np.sin(a)])

@@ -1,4 +1,4 @@
-"""Plans that go on from a measured state or from themselves, and plans in files."""
+"""Plans restarted from a measured state or continued, and plans in files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from conftest import ASK, WINDOWS, assert_same, busy, one_contact, several
+from conftest import RESULTS, WINDOWS, assert_plans_agree, disturbed, one_contact, seven_contacts
 from numpy.polynomial import polynomial
 from oracles.formulas import path_velocities, slip_of_states
 
@@ -24,16 +24,16 @@ PLACES = [0.0, 0.1, 0.2, 0.35, 0.5, 0.55, 0.8, 0.9]
 # --- restart
 
 
-@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "bumps", "rounded cube", "several"])
+@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "bumps", "rounded cube", "seven contacts"])
 def test_restart_from_its_own_states_reproduces_the_plan(obj):
-    plan = cs.plan(several() if obj == "several" else busy(obj))
+    plan = cs.plan(seven_contacts() if obj == "seven contacts" else disturbed(obj))
     for t0 in PLACES:
         again = plan.restart(t0, plan.states(t0))
         assert again.start == t0 and again.end == again.scene.duration
-        assert_same(again, plan, np.linspace(t0, 1, 17), 2e-12)
+        assert_plans_agree(again, plan, np.linspace(t0, 1, 17), 2e-12)
 
 
-def test_restart_takes_up_the_measured_slip():
+def test_after_a_restart_slip_decays_from_the_measured_one():
     plan = cs.plan(one_contact("ellipsoid", object_velocity="rolling", profile=(0.2, 0.1)))
     state = plan.states(0.5)[0]
     state[0, 6:8] += [0.05, -0.04]
@@ -49,8 +49,9 @@ def test_restart_takes_up_the_measured_slip():
 
 @pytest.mark.parametrize("kind", [cs.ObjectAcceleration, cs.ObjectRateOffset])
 @pytest.mark.parametrize("finger", [cs.Ellipsoid(0.06, 0.05, 0.04), cs.Sphere(0.05)])
-def test_restart_from_principal_values_beyond_the_seam_is_pushed_the_same_way(finger, kind):
-    """An ellipsoid's chart covers it twice, with axes turned by pi: pushes are the plan's."""
+def test_disturbances_act_alike_after_a_restart_from_the_other_cover_of_an_ellipsoid(finger, kind):
+    """An ellipsoid's chart covers it twice, with opposite axes. The plan's states are on the cover
+    beyond the seam, the measured ones on the principal cover; the disturbance must not turn."""
     start = {"object_at": (1.0, 1.2), "finger_at": (1.2, 0.5), "angle": 0.0}
     start |= {"object_velocity": (0.2, 1.0), "finger_velocity": (0.2, -1.0), "profile": (0.1,)}
     push = [kind(0, 1.2, 1.8, (0.5, 0.3))]
@@ -59,17 +60,17 @@ def test_restart_from_principal_values_beyond_the_seam_is_pushed_the_same_way(fi
     )
     plan = cs.plan(scene)
     for t0 in (1.0, 1.4):
-        own, t = plan.states(t0)[0], np.linspace(t0, 2.0, 9)
-        assert own[0, 5] > pi / 2  # the seam is crossed
+        planned, t = plan.states(t0)[0], np.linspace(t0, 2.0, 9)
+        assert planned[0, 5] > pi / 2  # the seam is crossed
         motion = plan.pose(t0)[0], plan.twist(t0)[0], plan.points(t0)[0, :, 1]
         measured = cs.measured_states(scene, *motion)
         assert measured[0, 5] < pi / 2
         again = plan.restart(t0, measured)
-        assert again.states(t) == pytest.approx(plan.restart(t0, own).states(t), abs=1e-12)
+        assert again.states(t) == pytest.approx(plan.restart(t0, planned).states(t), abs=1e-12)
         assert again.points(t) == pytest.approx(plan.points(t), abs=1e-13)
 
 
-def test_a_restarted_plan_has_no_times_before_its_start():
+def test_a_restarted_plan_has_no_results_before_its_start():
     plan = cs.plan(one_contact())
     again = plan.restart(0.5, plan.states(0.5)[0])
     with pytest.raises(cs.ContactSystemError, match=r"outside the plan's horizon \[0.5, 1\] s"):
@@ -82,7 +83,7 @@ def test_a_restarted_plan_has_no_times_before_its_start():
     assert again.sample_times(11)[0] == 0.5
 
 
-def test_restart_refuses_what_it_cannot_start_from():
+def test_states_and_times_that_a_plan_cannot_restart_from_are_refused():
     plan = cs.plan(one_contact(profile=(0.1, -0.4, 0.4)))
     state = plan.states(0.4)[0]
     broken = np.where(np.arange(9) == 3, np.nan, state)
@@ -97,59 +98,61 @@ def test_restart_refuses_what_it_cannot_start_from():
     ):
         with pytest.raises(cs.ContactSystemError, match=words):
             plan.restart(t, given)
-    dragged = cs.plan(cs.load_scene("C2"))
+    imposed = cs.plan(cs.load_scene("C2"))
     with pytest.raises(cs.SceneError, match="'C2', contact 0: imposed rolling cannot go on"):
-        dragged.restart(0.5, dragged.states(0.5)[0])
+        imposed.restart(0.5, imposed.states(0.5)[0])
 
 
 # --- continued, carried frames
 
 
-# At 0.5 s the path goes through a pole, rests, or has just turned.
+# At 0.5 s the path of NORTH goes through a pole, and that of CORNER has just turned.
 NORTH = {"object_at": (0.5, 0.0), "finger_velocity": (1.0, 0.0), "object_velocity": (-1.0, 0.0)}
 CORNER = (cs.Leg(0.3, 0.1, 0.45), cs.Leg(2.0, 0.15, 0.55))
-CONTINUED = [busy(obj) for obj in ("sphere", "ellipsoid", "cylinder", "torus", "bumps", "bowl")]
+CONTINUED = [
+    disturbed(obj) for obj in ("sphere", "ellipsoid", "cylinder", "torus", "bumps", "bowl")
+]
 CONTINUED += [
-    busy("rounded cube"),
+    disturbed("rounded cube"),
     one_contact("sphere", angle=0.0, profile=(0.1,), **NORTH),
-    one_contact("sphere", profile=(0.1, -0.4, 0.4)),
+    one_contact("sphere", profile=(0.1, -0.4, 0.4)),  # rests at 0.5 s
     one_contact("ellipsoid", "ellipsoid", legs=CORNER),
 ]
 
 
 @pytest.mark.parametrize("scene", CONTINUED)
-def test_plan_continued_under_the_same_scene_is_the_same_plan(scene):
+def test_a_plan_continued_under_the_same_scene_is_the_same_plan(scene):
     plan = cs.plan(scene, tolerance=1e-14)
     for t0 in PLACES:
         again = plan.continued(t0)
         assert again.start == t0
-        assert_same(again, plan, np.linspace(t0, 1, 17)[1:], 2e-13, *ASK, "carried")
+        assert_plans_agree(again, plan, np.linspace(t0, 1, 17)[1:], 2e-13, *RESULTS, "carried")
 
 
-def test_continuing_many_contacts_again_and_again_loses_nothing():
-    plan = again = cs.plan(several(), tolerance=1e-14)
+def test_continuing_a_plan_fifty_times_loses_no_digits():
+    plan = again = cs.plan(seven_contacts(), tolerance=1e-14)
     for t in np.linspace(0, 1, 51)[:-1]:
         again = again.continued(t)
-    assert_same(again, plan, 1.0, 1e-13, *ASK, "carried")
+    assert_plans_agree(again, plan, 1.0, 1e-13, *RESULTS, "carried")
 
 
-def test_disturbance_brought_in_by_continuing_is_the_window_of_a_scene():
-    free = busy().replace(disturbances=())
+def test_a_disturbance_added_by_continuing_acts_as_one_that_the_scene_had_from_the_start():
+    free = disturbed().replace(disturbances=())
     some = free.replace(disturbances=[w for w in WINDOWS if w.start < 0.4])
     later = cs.plan(free, tolerance=1e-14).continued(0.2, some)
-    later = later.continued(0.35, busy()).continued(0.5, busy())
-    expected = cs.plan(busy(), tolerance=1e-14)
-    assert_same(later, expected, np.linspace(0.5, 1, 21), 2e-13, "states")
+    later = later.continued(0.35, disturbed()).continued(0.5, disturbed())
+    expected = cs.plan(disturbed(), tolerance=1e-14)
+    assert_plans_agree(later, expected, np.linspace(0.5, 1, 21), 2e-13, "states")
 
 
-def turning(direction: float) -> cs.Scene:
+def with_a_corner(direction: float) -> cs.Scene:
     legs = [cs.Leg(0.0, 0.1, 1.0), cs.Leg(direction, 0.1, 1.0)]
     return one_contact(legs=legs, duration=2.0)
 
 
-def test_legs_that_begin_later_may_be_others():
-    right, left = cs.plan(turning(1.0)), turning(-1.0)
-    assert_same(
+def test_legs_that_have_not_begun_may_be_changed_by_continuing():
+    right, left = cs.plan(with_a_corner(1.0)), with_a_corner(-1.0)
+    assert_plans_agree(
         right.continued(0.9, left), cs.plan(left), np.linspace(0.9, 2.0, 12), 1e-13, "points"
     )
 
@@ -159,31 +162,31 @@ def test_continuing_refuses_other_surfaces_the_end_and_imposed_rolling():
     (contact,) = plan.scene.contacts
     imposed = {"finger_velocity": "rolling", "object_velocity": (0.2, 1.0)}
     rolling = plan.scene.replace(contacts=[dataclasses.replace(contact, **imposed)])
-    once = "contact 0: imposed rolling cannot go on"
-    for own, t, other, words in (
+    not_imposed = "contact 0: imposed rolling cannot go on"
+    for begun, t, scene, words in (
         (plan, 0.5, one_contact("ellipsoid"), "at t = 0.5 s: the scene has other surfaces"),
         (plan, 1.0, None, "at t = 1 s: nothing is left to plan"),
         (plan, 1.5, None, "outside the plan's horizon"),
         (plan, [0.5], None, "give a time in seconds"),
-        (cs.plan(cs.load_scene("C2")), 0.5, None, once),
-        (plan, 0.5, rolling, once),
+        (cs.plan(cs.load_scene("C2")), 0.5, None, not_imposed),
+        (plan, 0.5, rolling, not_imposed),
         (plan, 0.5, plan.scene.replace(contacts=[contact] * 2), "other surfaces or contacts"),
         (plan, 0.5, one_contact(angle=0.4), "contact 0 starts or turns in another way"),
-        (cs.plan(turning(1.0)), 1.0, turning(-1.0), "contact 0 starts or turns in another way"),
+        (cs.plan(with_a_corner(1.0)), 1.0, with_a_corner(-1.0), "0 starts or turns in another way"),
         (plan, 0.5, "K4", "scene = 'K4': give a Scene"),
     ):
         with pytest.raises(cs.ContactSystemError, match=words):
-            own.continued(t, other)
-    for ask in ("continued", "carried"):
+            begun.continued(t, scene)
+    for method in ("continued", "carried"):
         with pytest.raises(cs.SceneError, match="'chart' has no parallel frames"):
-            getattr(cs.plan(one_contact(), method="chart"), ask)(0.5)
+            getattr(cs.plan(one_contact(), method="chart"), method)(0.5)
 
 
 PUSHED = one_contact("ellipsoid", profile=(0.2, 0.1), disturbances=WINDOWS[:2])
 
 
 @pytest.mark.parametrize("scene", [PUSHED, one_contact(profile=(0.0, 0.1))], ids=["pushed", "free"])
-def test_carried_frames_say_the_rates_and_the_angle_of_the_states(scene):
+def test_parallel_frames_agree_with_the_rates_and_the_angle_of_the_states(scene):
     plan, t = cs.plan(scene), np.linspace(0, 1, 41)
     states, carried = plan.states(t), plan.carried(t)
     sigma = scene.profile(t)[:, None]
@@ -193,7 +196,7 @@ def test_carried_frames_say_the_rates_and_the_angle_of_the_states(scene):
         found = np.stack([c * x - s * y, s * x + c * y], axis=-1)
         assert sigma[:, :, None] * found == pytest.approx(expected, abs=2e-14)
     assert states[..., 8] == pytest.approx(0.3 - carried[..., 0].sum(axis=-1), abs=1e-14)
-    assert carried[0, 0, 0] == pytest.approx([0.0, 0.6, 0.8], abs=1e-15)  # also at rest
+    assert carried[0, 0, 0] == pytest.approx([0.0, 0.6, 0.8], abs=1e-15)  # also where sigma = 0
 
 
 # --- files
@@ -202,7 +205,7 @@ def test_carried_frames_say_the_rates_and_the_angle_of_the_states(scene):
 @pytest.mark.parametrize("begun", ["auto", "chart", "restarted", "continued"])
 @pytest.mark.parametrize("way", ["npz", "pickle", "deepcopy"])
 def test_plans_come_back_from_files_pickles_and_copies(tmp_path, way, begun):
-    plan = cs.plan(busy(), tolerance=1e-9, method="chart" if begun == "chart" else "auto")
+    plan = cs.plan(disturbed(), tolerance=1e-9, method="chart" if begun == "chart" else "auto")
     if begun == "restarted":
         state = plan.states(0.45)[0]
         state[0, 6] += 0.1
@@ -214,24 +217,24 @@ def test_plans_come_back_from_files_pickles_and_copies(tmp_path, way, begun):
         again = cs.load(tmp_path / "plan.npz")
     else:
         again = pickle.loads(pickle.dumps(plan)) if way == "pickle" else copy.deepcopy(plan)
-    assert_same(again, plan, np.linspace(plan.start, 1, 12), 0.0)
+    assert_plans_agree(again, plan, np.linspace(plan.start, 1, 12), 0.0)
     expected = plan.scene, plan.start, plan.tolerance, plan.method
     assert (again.scene, again.start, again.tolerance, again.method) == expected
 
 
 def test_npz_file_holds_sampled_results(tmp_path):
-    plan = cs.plan(several())
+    plan = cs.plan(seven_contacts())
     plan.save(str(tmp_path / "plan.npz"))
     with np.load(tmp_path / "plan.npz") as data:
         t = data["t"]
         assert len(t) == 401 + len(set(plan.scene.edges) - set(np.linspace(0, 1, 401)))
         assert set(plan.scene.edges) <= set(t)
-        for ask in ("states", "slip", "twist", "pose", "points"):
-            assert np.array_equal(data[ask], getattr(plan, ask)(t)), ask
+        for result in ("states", "slip", "twist", "pose", "points"):
+            assert np.array_equal(data[result], getattr(plan, result)(t)), result
 
 
 def test_csv_file_holds_states_and_slip_to_the_last_digit(tmp_path):
-    plan, t = cs.plan(several()), [0.0, 0.25, 1.0]
+    plan, t = cs.plan(seven_contacts()), [0.0, 0.25, 1.0]
     plan.save(tmp_path / "plan.csv", t)
     with open(tmp_path / "plan.csv", newline="") as file:
         head, *rows = csv.reader(file)
@@ -244,7 +247,7 @@ def test_csv_file_holds_states_and_slip_to_the_last_digit(tmp_path):
     assert table[:, :, 13] == pytest.approx(plan.slip_speed(t), rel=1e-15)
 
 
-def test_files_of_other_kinds_are_refused(tmp_path):
+def test_files_that_no_plan_was_saved_to_are_refused(tmp_path):
     plan = cs.plan(one_contact())
     with pytest.raises(cs.ContactSystemError, match="unknown ending '.mat'; use .npz or .csv"):
         plan.save(tmp_path / "plan.mat")
@@ -272,7 +275,7 @@ def test_files_in_a_folder_that_is_missing_are_refused_by_name(name, tmp_path):
         save(tmp_path / "missing" / name)
 
 
-def test_a_damaged_file_is_read_or_refused(tmp_path):
+def test_a_file_with_a_flipped_bit_is_read_or_refused_and_raises_nothing_else(tmp_path):
     cs.plan(one_contact()).save(tmp_path / "plan.npz", [0.0])
     content, rng = (tmp_path / "plan.npz").read_bytes(), np.random.default_rng(1)
     for _ in range(200):
@@ -283,8 +286,8 @@ def test_a_damaged_file_is_read_or_refused(tmp_path):
             cs.load(tmp_path / "plan.npz")
 
 
-def test_a_saved_plan_that_was_changed_is_refused(tmp_path):
-    cs.plan(busy()).continued(0.45).save(tmp_path / "plan.npz", [0.45])
+def test_a_saved_plan_whose_file_was_edited_is_refused(tmp_path):
+    cs.plan(disturbed()).continued(0.45).save(tmp_path / "plan.npz", [0.45])
     with np.load(tmp_path / "plan.npz") as data:
         kept = dict(data)
     np.savez(tmp_path / "plan.npz", **{**kept, "plan": str(kept["plan"]).replace("0.45", "0.4")})

@@ -1,4 +1,4 @@
-"""Scenes: the paper's data, canonical contacts, round trips, and messages that name the mistake."""
+"""Scenes: the paper's data, canonical coordinates, files, and errors that name the mistake."""
 
 import math
 import os
@@ -52,14 +52,14 @@ def small_scene(**changes) -> Scene:
 
 
 def read(text: str, name: str = "wrong.toml") -> Scene:
-    """The scene of a file."""
+    """The scene that a file of this text and name holds."""
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, name).write_text(text, "utf-8")
         return load_scene(Path(folder, name))
 
 
 def written(scene: Scene) -> str:
-    """The file of a scene."""
+    """The text of a scene's file."""
     with tempfile.TemporaryDirectory() as folder:
         save_scene(scene, Path(folder, "scene.toml"))
         return Path(folder, "scene.toml").read_text("utf-8")
@@ -69,7 +69,7 @@ def written(scene: Scene) -> str:
 
 
 @pytest.mark.parametrize("name", PAPER + OWN)
-def test_a_bundled_scene_loads_and_survives_a_round_trip(name):
+def test_a_bundled_scene_is_the_same_after_it_is_saved_and_loaded(name):
     scene = load_scene(name)
     assert scene.name == name
     again = read(written(scene))
@@ -84,8 +84,8 @@ SLOW, MEDIUM, FAST = (0.001, 0, 0.4), (0.1, 0.2, -0.02), (1, 0.2, -0.02)
 BALL, EGG, DRIFT = Sphere(0.1), Ellipsoid(0.3, 0.2, 0.1), ObjectRateOffset
 
 
-def pushed(*window):
-    """Equal accelerations of three fingers."""
+def push_all(*window):
+    """The same acceleration of each of three fingers."""
     return [FingerAcceleration(i, *window) for i in range(3)]
 
 
@@ -93,9 +93,9 @@ def pushed(*window):
     "name, object_, sigma, duration, contacts, disturbances, recovery",
     [
         ("K1", BALL, SLOW, 1, SPHERES, [], 0.04),
-        ("K2", BALL, SLOW, 1, SPHERES, pushed(0, 0.1, (0.1, 0)), 0.04),
-        ("K3", EGG, SLOW, 1, ON_ELLIPSOID, pushed(0.1, 0.15, (-0.1, -0.1)), 0.015),
-        ("K4", EGG, MEDIUM, 4, ON_ELLIPSOID, pushed(1, 2, (-0.3, -0.3)), None),
+        ("K2", BALL, SLOW, 1, SPHERES, push_all(0, 0.1, (0.1, 0)), 0.04),
+        ("K3", EGG, SLOW, 1, ON_ELLIPSOID, push_all(0.1, 0.15, (-0.1, -0.1)), 0.015),
+        ("K4", EGG, MEDIUM, 4, ON_ELLIPSOID, push_all(1, 2, (-0.3, -0.3)), None),
         ("D1", BALL, FAST, 4, DYNAMIC, [DRIFT(0, 2, 2.5, (0.6, 1.0))], 0.2),
         ("D2", BALL, FAST, 4, DYNAMIC, [DRIFT(0, 0.5, 2.5, (0.6, 0.1))], 0.1),
         ("D3", BALL, SLOW, 4, DYNAMIC, [DRIFT(0, 0.5, 2.5, (0.6, 0.1))], 1.0),
@@ -119,7 +119,7 @@ def test_a_bundled_scene_holds_the_papers_numbers(
     assert ("stiffness" in scene.drake) == name.startswith("D")
 
 
-def test_in_c1_the_finger_that_keeps_its_orientation_rolls_without_spin():
+def test_in_c1_the_turning_object_makes_a_finger_of_fixed_orientation_roll_as_planned():
     scene = load_scene("C1")
     (contact,) = scene.contacts
     frame = scene.object.frame(*contact.object_at)
@@ -127,10 +127,9 @@ def test_in_c1_the_finger_that_keeps_its_orientation_rolls_without_spin():
     assert np.dot(scene.turning.axis, normal) == pytest.approx(0, abs=1e-15)
     assert np.linalg.norm(contact.object_velocity) == pytest.approx(1, rel=1e-15)
     for t in (0.0, 0.2, 0.5, 0.9, 1.0):
-        # the finger's angular velocity seen from the object, and the rolling it causes
+        # the finger's angular velocity relative to the object; rolling spheres of 0.1 and 0.04 m
         omega = -scene.turning.angular_velocity(t)
-        speed = 1 / (1 / 0.1 + 1 / 0.04)
-        rolled = np.cross(omega, normal) * speed
+        rolled = np.cross(omega, normal) / (1 / 0.1 + 1 / 0.04)
         assert rolled == pytest.approx(scene.profile(t) * velocity, abs=1e-15)
     assert scene.turning.rotation_vector(1.0) == pytest.approx([1, 1, 1], abs=1e-14)
 
@@ -140,7 +139,8 @@ def test_in_c1_the_finger_that_keeps_its_orientation_rolls_without_spin():
 
 @pytest.mark.parametrize("side", ["object", "finger"])
 def test_a_contact_on_the_second_cover_of_an_ellipsoid_keeps_its_motion(side):
-    """(u, v) ~ (-u, pi - v) with both axes turned: velocities, angle and forcing turn along."""
+    """(u, v) and (-u, pi - v) are one point, whose frames differ by half a turn about the normal:
+    velocities, angle and disturbances are given in the other one."""
     body, at, velocity = Ellipsoid(0.3, 0.2, 0.1), f"{side}_at", f"{side}_velocity"
     fields = {"finger": FINGER, "object_at": (1.0, 0.5), "angle": 0.3, velocity: (0.6, 0.8)}
     given = Contact(**(fields | {side: body} if side == "finger" else fields) | {at: (0.4, 2.0)})
@@ -160,7 +160,16 @@ def test_a_contact_on_the_second_cover_of_an_ellipsoid_keeps_its_motion(side):
     assert scene.replace(duration=3.0).contacts == scene.contacts
 
 
-def test_disturbances_that_are_kept_beside_new_contacts_are_not_turned_again():
+def test_a_contact_with_an_inward_frame_is_read_as_the_same_point_with_the_outward_frame():
+    # (-1.57, 2.44), as the paper prints it, is (1.57, 2.44 + pi) up to whole turns.
+    scene = small_scene(contacts=[Contact(FINGER, (-1.57, 2.44))])
+    (contact,) = scene.contacts
+    assert contact.object_at == pytest.approx((1.57, 2.44 - pi))
+    by_hand = np.array([np.sin(-1.57) * np.cos(2.44), np.sin(-1.57) * np.sin(2.44), np.cos(-1.57)])
+    assert scene.object.point(*contact.object_at) == pytest.approx(0.1 * by_hand, abs=1e-16)
+
+
+def test_disturbances_that_replace_keeps_beside_new_contacts_are_not_turned_again():
     given = Contact(FINGER, (1.0, 1.9))  # on the second cover
     push = ObjectAcceleration(0, 0.2, 0.5, (1.0, 0.5))
     body = Ellipsoid(0.3, 0.2, 0.1)
@@ -172,7 +181,7 @@ def test_disturbances_that_are_kept_beside_new_contacts_are_not_turned_again():
     assert np.array_equal(*ends)
 
 
-def test_a_scene_of_many_contacts_names_the_one_at_a_pole():
+def test_a_contact_at_a_pole_is_refused_by_its_index_and_name():
     contacts = [Contact(FINGER, (1.0, 0.1 * k)) for k in range(9)]
     contacts[7] = Contact(FINGER, (0.0, 1.0), name="thumb")
     with pytest.raises(SceneError, match=r"scene 'small': contacts\[7\] 'thumb': object_at"):
@@ -185,7 +194,7 @@ def test_a_scene_of_many_contacts_names_the_one_at_a_pole():
 # --- disturbances and edges --------------------------------------------------------------------
 
 
-def test_all_means_one_disturbance_for_each_contact():
+def test_a_disturbance_of_all_is_one_for_each_contact():
     scene = small_scene(disturbances=[FingerAcceleration("all", 0, 1, (1, 2))])
     assert [d.contact for d in scene.disturbances] == [0, 1]
 
@@ -214,15 +223,15 @@ def test_scenes_are_hashable_and_compare_by_value():
 # --- wrong input in Python ---------------------------------------------------------------------
 
 
-def over(**changes):
+def scene_with(**changes):
     return lambda: small_scene(**changes)
 
 
-def contact(**changes):
+def contact_with(**changes):
     return lambda: Contact(**({"finger": FINGER, "object_at": (1, 1)} | changes))
 
 
-def window(start, stop, contact=0, value=(1, 0)):
+def scene_with_window(start, stop, contact=0, value=(1, 0)):
     return lambda: small_scene(disturbances=[FingerAcceleration(contact, start, stop, value)])
 
 
@@ -232,32 +241,40 @@ FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(
 @pytest.mark.parametrize(
     "make, words",
     [
-        (over(object=0.1), ["scene 'small'", "object = 0.1", "Sphere"]),
-        (over(contacts=[]), ["contacts", "at least one"]),
-        (over(contacts=[FINGER]), ["contacts[0]", "give a Contact"]),
-        (over(disturbances=[(0, 0, 1, (1, 1))]), ["disturbances[0]", "or ObjectRateOffset"]),
-        (over(profile=[0.1]), ["profile = [0.1]", "give a Profile, such as Profile("]),
-        (over(duration=0), ["duration = 0.0", "above 0"]),
-        (over(duration="2"), ["duration = '2'", "number"]),
-        (over(profile=Profile([0.1, -0.1])), ["-0.1 m/s", "t = 2 s", "before t = 1 s"]),
-        (over(name=3), ["name = 3", "text"]),
-        (over(paper={"reprots": "x"}), ["paper", "'reprots'", "'reports'"]),
-        (over(paper={"recovery_time": "soon"}), ["recovery_time = 'soon'", "a finite number"]),
-        (over(paper=[1]), ["paper = [1]", "table"]),
-        (over(drake={"mass": math.nan}), ["drake: mass", "nan"]),
-        (over(drake={"duration": 1.0}), ["drake: key 'duration'", "above all headers"]),
-        (contact(finger=0.04), ["finger = 0.04", "Sphere"]),
-        (contact(object_at=1.0), ["object_at = 1.0", "two numbers"]),
-        (lambda: Profile({0.1, 0.2}), ["profile = {", "list of numbers"]),
-        (contact(finger_at=(1, math.nan)), ["finger_at[1]", "nan", "finite"]),
-        (contact(object_velocity="roling"), ["object_velocity = 'roling'", '"rolling" or "rest"']),
-        (contact(finger_velocity="rolling"), ['"rolling"', "object_velocity as two numbers"]),
-        (window(1, 1), ["start = 1, stop = 1", "exchange"]),
-        (window(-0.5, 1), ["disturbances[0]", "start = -0.5", "[0, 2] s"]),
-        (window(0, 1, contact=2), ["contact = 2", "2 contacts", "0 to 1"]),
-        (window(0, 1, contact="every"), ["contact = 'every'", '"all"']),
+        (scene_with(object=0.1), ["scene 'small'", "object = 0.1", "Sphere"]),
+        (scene_with(contacts=[]), ["contacts", "at least one"]),
+        (scene_with(contacts=[FINGER]), ["contacts[0]", "give a Contact"]),
+        (scene_with(disturbances=[(0, 0, 1, (1, 1))]), ["disturbances[0]", "or ObjectRateOffset"]),
+        (scene_with(profile=[0.1]), ["profile = [0.1]", "give a Profile, such as Profile("]),
+        (scene_with(duration=0), ["duration = 0.0", "above 0"]),
+        (scene_with(duration="2"), ["duration = '2'", "number"]),
+        (scene_with(profile=Profile([0.1, -0.1])), ["-0.1 m/s", "t = 2 s", "before t = 1 s"]),
+        (scene_with(name=3), ["name = 3", "text"]),
+        (scene_with(paper={"reprots": "x"}), ["paper", "'reprots'", "'reports'"]),
         (
-            over(contacts=[FOLLOWING], disturbances=[FingerAcceleration("all", 0, 1, (1, 0))]),
+            scene_with(paper={"recovery_time": "soon"}),
+            ["recovery_time = 'soon'", "a finite number"],
+        ),
+        (scene_with(paper=[1]), ["paper = [1]", "table"]),
+        (scene_with(drake={"mass": math.nan}), ["drake: mass", "nan"]),
+        (scene_with(drake={"duration": 1.0}), ["drake: key 'duration'", "above all headers"]),
+        (contact_with(finger=0.04), ["finger = 0.04", "Sphere"]),
+        (contact_with(object_at=1.0), ["object_at = 1.0", "two numbers"]),
+        (lambda: Profile({0.1, 0.2}), ["profile = {", "list of numbers"]),
+        (contact_with(finger_at=(1, math.nan)), ["finger_at[1]", "nan", "finite"]),
+        (
+            contact_with(object_velocity="roling"),
+            ["object_velocity = 'roling'", '"rolling" or "rest"'],
+        ),
+        (contact_with(finger_velocity="rolling"), ['"rolling"', "object_velocity as two numbers"]),
+        (scene_with_window(1, 1), ["start = 1, stop = 1", "exchange"]),
+        (scene_with_window(-0.5, 1), ["disturbances[0]", "start = -0.5", "[0, 2] s"]),
+        (scene_with_window(0, 1, contact=2), ["contact = 2", "2 contacts", "0 to 1"]),
+        (scene_with_window(0, 1, contact="every"), ["contact = 'every'", '"all"']),
+        (
+            scene_with(
+                contacts=[FOLLOWING], disturbances=[FingerAcceleration("all", 0, 1, (1, 0))]
+            ),
             ["contact = 0", "imposes rolling", "leave the disturbance out"],
         ),
         (lambda: Turning((0, 0, 0), [1]), ["axis", "not all zero"]),
@@ -305,7 +322,7 @@ friction = 0.5
 """
 
 
-def test_arithmetic_texts_are_numbers():
+def test_numbers_in_a_file_may_be_texts_of_arithmetic():
     scene = read(GOOD + '[paper]\nrecovery_time = "1/25"\nlateral_force = 1\n')
     assert scene.paper == {"recovery_time": 0.04, "lateral_force": 1.0}
     assert scene.profile == Profile([0.1, 0.2])
@@ -359,7 +376,9 @@ def test_a_mistake_in_a_file_is_named_by_file_key_value_and_remedy(old, new, wor
         ("WINDOWS", 0, "", ""),
     ],
 )
-def test_a_limit_is_named_where_it_is_met_and_can_be_raised(monkeypatch, limit, lower, old, new):
+def test_a_file_beyond_a_limit_is_refused_and_read_once_the_limit_is_raised(
+    monkeypatch, limit, lower, old, new
+):
     assert old in GOOD
     monkeypatch.setattr(cs.limits, limit, lower)
     with pytest.raises(SceneError, match=f"wrong.toml.*set contact_system.limits.{limit} higher"):
@@ -368,14 +387,14 @@ def test_a_limit_is_named_where_it_is_met_and_can_be_raised(monkeypatch, limit, 
     read(GOOD.replace(old, new, 1))
 
 
-def test_errors_echo_long_and_hidden_text_clipped_and_escaped():
+def test_errors_clip_long_texts_and_escape_control_characters():
     for key in ("x" * 10**5, "\\u001b[2J"):
         with pytest.raises(SceneError, match="wrong.toml: key .*use one of") as error:
             read(f'"{key}" = 1\n{GOOD}')
         assert len(str(error.value)) <= cs.limits.MESSAGE and "\x1b" not in str(error.value)
 
 
-def test_a_nameless_scene_is_named_after_its_file():
+def test_a_scene_without_a_name_gets_that_of_its_file():
     text = GOOD.replace('name = "good"', "")
     assert read(text, "mine.toml").name == "mine"
 
@@ -387,7 +406,7 @@ def test_an_unknown_scene_is_refused_with_the_nearest_name():
 
 
 @pytest.mark.parametrize("wrong", [None, 4, ["K4"]])
-def test_what_is_no_name_of_a_scene_is_refused(wrong):
+def test_load_scene_refuses_what_is_no_name_and_no_path(wrong):
     with pytest.raises(SceneError, match="scene = .*: give a name or a path"):
         load_scene(wrong)
     with pytest.raises(SceneError, match="cannot be read: .*embedded null"):
@@ -395,7 +414,7 @@ def test_what_is_no_name_of_a_scene_is_refused(wrong):
     assert load_scene(b"K4") == load_scene("K4")  # type: ignore[arg-type]
 
 
-def test_files_that_are_no_text_are_refused(tmp_path):
+def test_folders_devices_and_files_that_are_not_utf_8_are_refused(tmp_path):
     for path in (tmp_path, os.devnull):
         with pytest.raises(SceneError, match="cannot be read: it is a folder, a device"):
             load_scene(path)
@@ -404,7 +423,7 @@ def test_files_that_are_no_text_are_refused(tmp_path):
         load_scene(tmp_path / "x.toml")
 
 
-def test_a_file_may_begin_with_a_byte_order_mark_and_have_lines_of_windows(tmp_path):
+def test_a_file_of_windows_with_byte_order_mark_and_crlf_is_read(tmp_path):
     (tmp_path / "x.toml").write_text(GOOD.replace("good", "größer"), "utf-8-sig", newline="\r\n")
     assert load_scene(tmp_path / "x.toml") == read(GOOD.replace("good", "größer"))
 
@@ -431,7 +450,7 @@ SURFACES = [
     st.floats(0, 1e300),
     st.dictionaries(KEYS, st.one_of(st.text(), number, st.lists(number), st.booleans())),
 )
-def test_every_float_and_every_text_survives_a_round_trip(surface, text, velocity, eta, table):
+def test_every_float_and_every_text_is_the_same_after_saving(surface, text, velocity, eta, table):
     scene = small_scene(
         contacts=[Contact(surface, (1.1, 1 / 3), (0.3, 0.7), 99.9, velocity, velocity, text)],
         gain=Gain.time(min(eta, 1e99)),
@@ -455,7 +474,7 @@ def test_every_float_and_every_text_survives_a_round_trip(surface, text, velocit
         ("surface = 3", ["object", "surface = 3"]),
     ],
 )
-def test_a_mistake_in_a_users_surface_is_named(surface, words):
+def test_a_mistake_in_a_users_surface_in_a_file_is_named(surface, words):
     old = 'surface = "ellipsoid"\na = "3/10"\nb = 0.2\nc = 0.1'
     with pytest.raises(SceneError) as error:
         read(GOOD.replace(old, surface))
@@ -464,14 +483,14 @@ def test_a_mistake_in_a_users_surface_is_named(surface, words):
 
 
 def test_a_contact_where_a_formula_gives_no_point_is_refused():
-    horn = ParametricSurface(["u", "v", "log(u - 1)"])  # its derivatives go on below u = 1
+    horn = ParametricSurface(["u", "v", "log(u - 1)"])  # below u = 1 only its derivatives are real
     assert small_scene(object=horn, contacts=[Contact(FINGER, (1.5, 0))]).contacts
     with pytest.raises(SceneError, match=r"contacts\[0\]: object_at = .*no point at \(u, v\)"):
         small_scene(object=horn, contacts=[Contact(FINGER, (0.5, 0))])
 
 
 class Ball(Sphere):
-    """A user's own class of surface."""
+    """A user's own kind of surface."""
 
 
 def test_a_surface_that_a_file_cannot_hold_is_named():

@@ -1,7 +1,8 @@
-"""The exact slip law and the other integrals of the motion (theory sections 3, 6, 9)."""
+"""Plans follow the exact slip law and other closed forms (theory sections 3, 6, 9)."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from math import pi, sqrt
 
@@ -25,7 +26,7 @@ GAINS = {
 
 
 def assert_slip_follows_the_exact_law(scene: cs.Scene, t: np.ndarray) -> None:
-    """|v_rel| = |V| sigma exp(-L) (theory section 3), V the velocities' difference at the start."""
+    """|v_rel| = |V| sigma exp(-L) (theory section 3), where V is slip over sigma at the start."""
     plan, (contact,) = cs.plan(scene), scene.contacts
     slip, from_states = plan.slip(t)[:, 0], slip_of_states(scene, plan.states(t))[:, 0]
     first = reflection(contact.angle) @ contact.finger_velocity - contact.object_velocity
@@ -34,9 +35,6 @@ def assert_slip_follows_the_exact_law(scene: cs.Scene, t: np.ndarray) -> None:
     bar = 1e-12 * law.max()
     assert np.linalg.norm(slip, axis=1) == pytest.approx(law, abs=bar)
     assert slip == pytest.approx(from_states, abs=bar)
-
-
-# --- the law
 
 
 @pytest.mark.parametrize("obj", SURFACES)
@@ -63,7 +61,8 @@ def test_slip_follows_the_exact_law_at_any_gain(obj, eta):
 @pytest.mark.parametrize("eta", [*10.0 ** np.arange(-3, 13, 3), 1e35, 1e60])
 @pytest.mark.parametrize("obj", ["plane", "cylinder"])
 def test_contact_point_on_a_developable_body_is_the_quadrature_of_the_law(obj, eta):
-    # constant sigma, lam = eta: g = sigma (1 - exp(-eta t)) / eta, the curve is W s - V g unrolled
+    # unrolled, the curve is W s - V g; with constant sigma and lam = eta,
+    # g = sigma (1 - exp(-eta t)) / eta
     sigma, w, y = 0.2, np.array([0.6, 0.8]), np.array([0.2, -0.5])
     scene = one_contact(obj, gain=cs.Gain.time(eta), profile=(sigma,))
     t = np.unique([*T, *np.minimum(1.0, np.array([0.1, 1.0, 10.0]) / eta)])
@@ -73,7 +72,7 @@ def test_contact_point_on_a_developable_body_is_the_quadrature_of_the_law(obj, e
     unrolled = cs.plan(scene).states(t)[:, 0, 4:6] - SURFACES[obj][1]
     unrolled[:, 0] *= {"plane": 1.0, "cylinder": 0.1}[obj]
     assert unrolled == pytest.approx(moved, abs=1e-15)
-    # pushed by d while it rolls, V = -(1 - exp(-eta t)) M d / (eta sigma)
+    # where an acceleration d acts on rolling, v_rel = -(1 - exp(-eta t)) M d / eta
     push = [cs.ObjectAcceleration(0, 0.0, 1.0, (0.3, -0.2))]
     given = {"gain": scene.gain, "profile": (sigma,), "object_velocity": "rolling"}
     plan = cs.plan(one_contact(obj, disturbances=push, **given))
@@ -85,7 +84,8 @@ def test_contact_point_on_a_developable_body_is_the_quadrature_of_the_law(obj, e
     )
 
 
-def test_terms_of_sigma_that_cancel_cost_digits_and_no_panels():
+def test_a_profile_whose_terms_cancel_costs_digits_and_is_not_refused():
+    # its values have rounding errors that no number of panels makes smaller
     sigma = 4e3 * polynomial.polyfromroots(2 * [0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     scene = one_contact("plane", gain=cs.Gain.path(100.0), profile=tuple(sigma))
     x, weights = np.polynomial.legendre.leggauss(200)
@@ -118,7 +118,8 @@ def test_slip_moves_a_contact_by_the_integral_of_the_law(profile, eta):
     g = float(mp.quad(integrand, [0, *np.geomspace(1e-16, 1.0, 33).tolist()]))
     start = {"object_at": (1.3, 0.1), "finger_at": (1.2, 0.1), "angle": 0.0}
     start |= {"finger_velocity": (0.0, 0.0), "object_velocity": (0.6, 0.8)}
-    for obj in (cs.Plane(), cs.Sphere(1.0)):  # a great circle, since the finger rests
+    # the finger's contact point rests, so the object's moves along a straight line or great circle
+    for obj in (cs.Plane(), cs.Sphere(1.0)):
         scene = one_contact(obj, cs.Sphere(0.1), cs.Gain.path(eta), c, **start)
         first, last = cs.plan(scene).points([0.0, 1.0])[:, 0, 1]
         moved = np.linalg.norm(last - first)
@@ -127,7 +128,7 @@ def test_slip_moves_a_contact_by_the_integral_of_the_law(profile, eta):
 
 
 @pytest.mark.parametrize("least", [1e-1, 1e-4, 1e-6])
-def test_slip_under_an_acceleration_where_sigma_almost_rests(least):
+def test_slip_under_an_acceleration_is_exact_where_sigma_is_almost_zero(least):
     # on a plane, with lam = eta: v = sigma exp(-eta t) (v(0)/sigma(0) - d int exp(eta t)/sigma)
     eta, d, sigma = 3.0, 0.03, (least + 0.1, -0.2, 0.1)
     push = [cs.ObjectAcceleration(contact=0, start=0.5, stop=1.75, value=(d, 0.0))]
@@ -146,10 +147,10 @@ def test_slip_under_an_acceleration_where_sigma_almost_rests(least):
             assert abs(speed(time) * mp.exp(-eta * mp.mpf(time)) * left - found) < 1e-12
 
 
-# sigma is zero at the start, which the chart equations cannot even state, or at 1/2 s
+# sigma is zero at the start, where the chart equations have no value, or at 1/2 s
 @pytest.mark.parametrize(("profile", "rest"), [((0.0, 0.3, -0.1), 0.0), ((0.1, -0.4, 0.4), 0.5)])
 @pytest.mark.parametrize("obj", ["plane", "sphere", "ellipsoid", "bumps", "rounded cube"])
-def test_path_may_rest(obj, profile, rest):
+def test_where_the_path_rests_all_rates_are_zero_and_slip_follows_its_law(obj, profile, rest):
     for gain in (cs.Gain.path(50.0), cs.Gain.time(4.0)):
         scene = one_contact(obj, gain=gain, profile=profile)
         assert_slip_follows_the_exact_law(scene, T)
@@ -160,7 +161,7 @@ def test_path_may_rest(obj, profile, rest):
 
 
 @pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "bumps"])
-def test_slip_treatment_ends_once_slip_is_below_tolerance(obj):
+def test_explain_says_where_slip_has_fallen_below_the_tolerance(obj):
     scene = one_contact(obj, gain=cs.Gain.time(100.0), profile=(0.2,))
     assert "below tolerance" in cs.plan(scene).explain()
     rolling = one_contact(obj, object_velocity="rolling", profile=(0.2,))
@@ -168,7 +169,7 @@ def test_slip_treatment_ends_once_slip_is_below_tolerance(obj):
     assert_slip_follows_the_exact_law(scene, T)
 
 
-def test_the_least_slip_is_slip():
+def test_slip_of_a_billionth_and_less_of_sigma_is_not_taken_for_rolling():
     rolled = reflection(0.3) @ (0.6, 0.8)
     for off in (1e-9, 1e-12):
         plan = cs.plan(one_contact(object_velocity=tuple(rolled - [0.0, off])))
@@ -180,22 +181,23 @@ def test_the_least_slip_is_slip():
 
 @pytest.mark.parametrize("finger", ["sphere", "ellipsoid", "torus", "cylinder", "bumps"])
 @pytest.mark.parametrize("obj", ["sphere", "cylinder", "oblate", "bumps"])
-def test_geodesic_on_the_object_gives_a_geodesic_on_the_finger(obj, finger):
-    # eq. `corollary`: imposed rolling drags the finger's curve; it is the geodesic planned as such.
+def test_imposed_rolling_along_a_geodesic_moves_the_finger_along_a_geodesic(obj, finger):
+    # eq. `corollary`: with imposed rolling the finger's curve follows from the object's; it must be
+    # the geodesic that is planned on the finger itself.
     w = np.array([0.28, -0.96])
     given = {"gain": cs.Gain.time(1.0), "object_velocity": tuple(w)}
-    dragged = cs.plan(one_contact(obj, finger, finger_velocity="rolling", **given))
+    imposed = cs.plan(one_contact(obj, finger, finger_velocity="rolling", **given))
     planned = cs.plan(one_contact(obj, finger, finger_velocity=tuple(reflection(0.3) @ w), **given))
-    assert dragged.points(T) == pytest.approx(planned.points(T), abs=1e-13)
-    assert dragged.pose(T) == pytest.approx(planned.pose(T), abs=1e-12)
-    assert not dragged.slip(T).any()
+    assert imposed.points(T) == pytest.approx(planned.points(T), abs=1e-13)
+    assert imposed.pose(T) == pytest.approx(planned.pose(T), abs=1e-12)
+    assert not imposed.slip(T).any()
 
 
 # --- poles and umbilics
 
 
-# A start, the direction of its meridian, and the pole at the end of it; last, on the ellipse y = 0,
-# which is a geodesic, the umbilic.
+# A start, the direction of its meridian, and the pole at its end. The last goes along the ellipse
+# y = 0, which is a geodesic, to an umbilic.
 MERIDIANS = {
     "sphere": ((pi / 2, 0.0), (-1.0, 0.0), (0.0, 0.0, 0.1)),
     "round ellipsoid": ((pi / 2, 0.0), (-1.0, 0.0), (0.0, 0.0, 0.2)),
@@ -221,13 +223,12 @@ def test_path_through_a_pole_or_an_umbilic_is_smooth(name, part):
 
 
 def has_states(plan: cs.Plan, t: float) -> bool:
-    try:
+    with contextlib.suppress(cs.ChartSingularity):
         return bool(np.isfinite(plan.states(t)).all())
-    except cs.ChartSingularity:
-        return False
+    return False
 
 
-def test_states_at_a_pole_are_those_of_one_side_or_the_other():
+def test_states_within_rounding_of_a_pole_are_those_of_one_side_or_the_other():
     # North along a meridian at 0.1 m/s on a radius of 0.1 m: u = u0 - t, but for rounding.
     u0 = 0.7
     start = {"angle": 0.0, "object_at": (u0, 0.0), "finger_velocity": (-1.0, 0.0)}
@@ -237,7 +238,7 @@ def test_states_at_a_pole_are_those_of_one_side_or_the_other():
     x = plan.points(t)[:, 0, 1]
     assert x == pytest.approx(np.broadcast_to([0.0, 0.0, 0.1], x.shape), abs=1e-15)
     assert np.isfinite(plan.pose(t)).all() and np.isfinite(plan.twist(t)).all()
-    t = np.array([x for x in t if has_states(plan, x)])  # one may meet the pole exactly
+    t = np.array([x for x in t if has_states(plan, x)])  # one of them may meet the pole exactly
     assert len(t) > 70
     u, v, du, dv = plan.states(t)[:, 0, 4:8].T
     assert np.abs(scene.object.point(u, v) - plan.points(t)[:, 0, 1]).max() < 1e-16

@@ -1,8 +1,7 @@
-"""Random search for scenes that fail, with the scenes and laws of the stress benchmark.
+"""Random search for scenes that fail, with the scenes and exact laws of the stress benchmark.
 
-`benchmarks.stress_scenes` draws scenes, `stress_laws` judges plans by exact laws; here hypothesis
-makes the choices, so that a failure is shrunk. Failures that the search has found stand in
-`test_paths`, each with its own truth.
+`benchmarks.stress_scenes` draws scenes and `stress_laws` judges their plans; here hypothesis makes
+the choices, so that it can shrink a failure. Failures that were found have tests in `test_paths`.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ class Choices:
         return self.data.draw(st.sampled_from(list(values)))
 
     def real(self, low, high):
-        # Horizons and windows next to nothing have a test of their own below.
+        # Rounded: durations and windows of almost no length have tests in test_paths.
         return round(self.data.draw(st.floats(low, high)), 9)
 
 
@@ -96,17 +95,17 @@ WRONG = {
 
 
 @pytest.mark.parametrize("what", WRONG)
-def test_the_judge_notices_wrong_plans(what):
+def test_the_judge_notices_small_errors_and_nan(what):
     output, change = WRONG[what]
     drawn = trial()
     plan = cs.plan(drawn.scene)
     assert stress_laws.Judge(drawn, plan).verdict().outcome == "right"
-    own = getattr(plan, output)
-    setattr(plan, output, lambda t: change(own(t)))
+    right = getattr(plan, output)
+    setattr(plan, output, lambda t: change(right(t)))
     assert stress_laws.Judge(drawn, plan).verdict().outcome == "silent"
 
 
-def test_a_refusal_must_name_place_value_and_remedy():
+def test_the_judge_counts_an_error_without_place_value_and_remedy_as_a_crash():
     text = "scene 'x', contact 0: angle = nan: give a finite number"
     assert stress_laws.refusal(text).outcome == "refused"
     for part in ("array must not contain infs", "scene 'x': no", "failed, use another"):

@@ -1,4 +1,4 @@
-"""Surfaces: charts and their inverses, orientation, canonical coordinates, what users may write."""
+"""Surfaces: charts and their inverses, orientation, canonical coordinates, errors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from conftest import turned
+from conftest import turned_quadric
 
 from contact_system import (
     ChartSingularity,
@@ -47,7 +47,7 @@ EXPLICIT: dict[str, Surface] = {
     "ellipsoid oblate": Ellipsoid(0.3, 0.3, 0.1),
     "ellipsoid prolate": Ellipsoid(0.3, 0.1, 0.1),
     "ellipsoid round": Ellipsoid(0.2, 0.2, 0.2),
-    **{f"quadric {name}": turned(*values) for name, values in SIGNATURES.items()},
+    **{f"quadric {name}": turned_quadric(*values) for name, values in SIGNATURES.items()},
 }
 IMPLICIT = ImplicitSurface("x**2/a**2 + y**4 + z**2 - 1", parameters={"a": 1.5}, size=1.5)
 RADII = {"R": 0.1, "r": 0.03}
@@ -60,7 +60,7 @@ def inside_out(surface: Surface) -> Surface:
 
 
 def sample(surface: Surface, count: int = 200) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates spread over the chart, off its singular points."""
+    """(u, v) spread over the chart, away from its singular points."""
     u, v = np.random.default_rng(5).uniform(-3, 3, (2, count))
     return surface.canonical(u, v)
 
@@ -73,7 +73,7 @@ both_sides = pytest.mark.parametrize("inside", [False, True])
 
 @both_sides
 @pytest.mark.parametrize("name", ALL)
-def test_coordinates_bring_back_point_and_coordinates(name, inside):
+def test_coordinates_are_the_inverse_of_point(name, inside):
     surface = inside_out(ALL[name]) if inside else ALL[name]
     u, v = sample(surface)
     x = surface.point(u, v)
@@ -83,7 +83,7 @@ def test_coordinates_bring_back_point_and_coordinates(name, inside):
     turn_u, turn_v = (w or np.inf for w in surface.periods())
     for w, back, turn in ((u, back_u, turn_u), (v, back_v, turn_v)):
         away = np.abs(w - back)
-        # The least sine of a polar angle in the sample is about 0.01.
+        # 1e-12: rounding of 1e-14 over the sample's least sine of a polar angle, 0.01
         assert np.max(np.minimum(away, np.abs(turn - away))) < 1e-12
 
 
@@ -91,7 +91,7 @@ def test_coordinates_bring_back_point_and_coordinates(name, inside):
 
 
 def level_gradient(surface: Surface, x: np.ndarray) -> np.ndarray:
-    """The level function's gradient at points (n, 3), by hand; outward for a solid."""
+    """The level function's gradient at points (n, 3), by hand; it points out of a solid."""
     flat = x * [1, 1, 0]
     if isinstance(surface, Torus):
         along = flat / np.linalg.norm(flat, axis=1)[:, None]
@@ -116,7 +116,7 @@ def test_normal_is_along_the_gradient_of_the_level_function(name, inside):
 
 
 @pytest.mark.parametrize("distance", [1e-2, 1e-4, 1e-6])
-def test_ellipsoid_frame_near_an_umbilic_loses_no_more_than_the_point_does(distance):
+def test_frames_near_an_umbilic_lose_no_more_digits_than_rounding_of_the_point_costs(distance):
     surface = Ellipsoid(0.3, 0.2, 0.1)
     angle = np.linspace(0, 2 * pi, 40)
     u, v = distance * np.sin(angle), pi / 2 - distance * np.abs(np.cos(angle)) - 1e-3 * distance
@@ -126,7 +126,7 @@ def test_ellipsoid_frame_near_an_umbilic_loses_no_more_than_the_point_does(dista
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_inside_turns_v_and_the_normal_and_keeps_the_surface(name):
+def test_inside_changes_the_signs_of_v_and_the_normal_and_keeps_the_surface(name):
     outer, inner = ALL[name], inside_out(ALL[name])
     u, v = sample(outer, 30)
     assert np.array_equal(inner.point(u, -v), outer.point(u, v))
@@ -137,8 +137,8 @@ def test_inside_turns_v_and_the_normal_and_keeps_the_surface(name):
 
 
 @pytest.mark.parametrize("name", ["two sheets", "hyperbolic cylinder", "planes"])
-def test_other_sheet_lies_opposite_with_its_normal_outward(name):
-    upper, lower = turned(*SIGNATURES[name]), turned(*SIGNATURES[name], sheet=-1)
+def test_sheet_minus_one_is_the_opposite_sheet_with_its_normal_outward(name):
+    upper, lower = turned_quadric(*SIGNATURES[name]), turned_quadric(*SIGNATURES[name], sheet=-1)
     u, v = np.random.default_rng(6).uniform(-2, 2, (2, 20))
     first_axis = upper.normal(0.0, 0.0)
     assert np.all(upper.point(u, v) @ first_axis > 0)
@@ -155,7 +155,7 @@ def test_quadric_points_satisfy_its_equation(name):
     assert np.max(np.abs(value - 1) / (1 + np.sum(x**2, axis=1))) < 1e-14
 
 
-def test_quadrics_know_their_degenerate_cases_through_rounding_and_no_others():
+def test_quadrics_are_taken_for_spheres_and_cylinders_up_to_rounding_only():
     for ball in ("sphere", "ellipsoid round", "quadric round"):
         assert EXPLICIT[ball].chart.great_circles
     for flat in ("plane", "cylinder", "quadric round cylinder", "quadric planes"):
@@ -172,7 +172,7 @@ def test_quadrics_know_their_degenerate_cases_through_rounding_and_no_others():
 
 
 @pytest.mark.parametrize("at", [(2 * pi / 3, pi / 2), (-2 * pi / 3, -pi / 2), (pi / 6, pi / 2)])
-def test_papers_ellipsoid_contacts_stay_bit_for_bit(at):
+def test_canonical_coordinates_of_the_papers_ellipsoid_contacts_are_as_given(at):
     assert Ellipsoid(0.3, 0.2, 0.1).canonical(*at) == at
 
 
@@ -185,7 +185,7 @@ def test_canonical_coordinates_name_the_same_point_with_the_normal_outward(name,
     assert np.allclose(surface.point(u, v), surface.point(raw_u, raw_v), atol=2e-15)
     again = surface.canonical(u, v)
     assert np.array_equal(again[0], u) and np.array_equal(again[1], v)
-    if name != "torus":  # a convex body about its origin, or a plane through it
+    if name != "torus":  # the others are convex bodies about their origin, or a plane through it
         outward = np.einsum("ni,ni->n", surface.normal(u, v), surface.point(u, v))
         assert np.all(-outward >= 0 if inside else outward >= 0)
 
@@ -212,7 +212,7 @@ def test_poles_and_umbilics_are_refused_with_surface_place_and_remedy(surface, a
 
 
 @pytest.mark.parametrize("name", EXPLICIT)
-def test_one_point_is_taken_or_refused_as_an_array_of_it_is(name):
+def test_canonical_treats_one_point_and_an_array_of_one_alike(name):
     surface, rng = EXPLICIT[name], np.random.default_rng(11)
     w = rng.uniform(-3.2, 3.2, (400, 2))
     near = rng.choice([-1, 1], w.shape) * 10 ** rng.uniform(-16, -1, w.shape)
@@ -227,13 +227,14 @@ def test_one_point_is_taken_or_refused_as_an_array_of_it_is(name):
             assert str(caught.value) == str(error)
         else:
             assert surface.canonical(u, v) == surface.canonical(*at) == expected
-            assert all(type(w) is float for w in surface.canonical(*at))  # of numpy's floats
+            # floats, not numpy's, even where those are given
+            assert all(type(w) is float for w in surface.canonical(*at))
 
 
 @pytest.mark.parametrize(
     "at", [(np.nan, 0.0), (0.0, np.inf), ("a", 0.0), ([1, 2], [1, 2, 3]), (None, 1.0)]
 )
-def test_coordinates_that_are_no_numbers_are_refused(at):
+def test_coordinates_that_are_not_finite_numbers_are_refused(at):
     with pytest.raises(SurfaceError, match="coordinates"):
         Torus(0.1, 0.03).canonical(*at)
     if not isinstance(at[0], float):
@@ -244,7 +245,7 @@ def test_coordinates_that_are_no_numbers_are_refused(at):
 # --- continuity
 
 
-def test_align_takes_the_nearest_of_all_representatives():
+def test_align_gives_the_coordinates_of_the_point_that_are_nearest_to_others():
     surface = Ellipsoid(0.3, 0.2, 0.1)
     u, v, half_turn = surface.align(-0.5, 1.5, 0.5 + 2 * pi, pi - 1.45)
     assert np.allclose([u, v], [0.5 + 2 * pi, pi - 1.5]) and half_turn
@@ -259,7 +260,7 @@ def test_align_takes_the_nearest_of_all_representatives():
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_surfaces_hash_compare_and_pickle(name):
+def test_surfaces_are_hashable_compare_by_value_and_can_be_pickled(name):
     surface = ALL[name]
     again = pickle.loads(pickle.dumps(surface))
     assert again == surface and hash(again) == hash(surface)
@@ -292,7 +293,7 @@ def test_parameters_are_changed_by_dataclasses_replace():
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_numeric_methods_are_vectorised_over_leading_axes(name):
+def test_methods_take_arrays_of_coordinates_of_any_shape(name):
     surface = ALL[name]
     u, v = np.full((4, 1), 0.5), np.linspace(0.1, 1, 3)
     shapes = {

@@ -1,10 +1,9 @@
-"""Sweeps give the same as single plans of their scenes, whatever happens to their workers."""
+"""Sweeps give what plans of their scenes one by one give, whatever happens to workers."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
-import io
 import math
 import os
 import re
@@ -17,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import one_contact
+from conftest import Terminal, one_contact
 
 import contact_system as cs
 from contact_system.cli import Progress
@@ -42,8 +41,8 @@ def middle(plan: cs.Plan) -> dict[str, np.ndarray]:
     return {k: x[0] for k, x in plan.evaluate([0.5 * plan.end], "points", "states").items()}
 
 
-def middle_where_no_worker_dies(mark: Path, plan: cs.Plan) -> dict[str, np.ndarray]:
-    """`middle`, but the first worker that comes here is killed."""
+def middle_after_one_kill(mark: Path, plan: cs.Plan) -> dict[str, np.ndarray]:
+    """`middle`, but the first worker that evaluates it is killed; a file marks that it was."""
     if not mark.exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
@@ -51,7 +50,7 @@ def middle_where_no_worker_dies(mark: Path, plan: cs.Plan) -> dict[str, np.ndarr
 
 
 def middle_of_all_but_one(mark: Path, plan: cs.Plan) -> dict[str, np.ndarray]:
-    """`middle`, but workers that meet the second scene of the family die until there is a mark."""
+    """`middle`, but the family's second scene kills its worker as long as there is no mark."""
     if not mark.exists() and any(abs(c.object_at[0] - 0.91) < 1e-9 for c in plan.scene.contacts):
         os.kill(os.getpid(), signal.SIGKILL)
     return middle(plan)
@@ -67,18 +66,18 @@ def one_by_one(scenes: list[cs.Scene], key: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("windows", [(), (PUSH, OFFSET)])
-def test_scenes_planned_together_are_where_each_alone_is(windows):
+def test_scenes_planned_together_give_what_each_gives_alone(windows):
     scenes = family(7, disturbances=windows)
     table = cs.sweep(scenes, middle, chunk=5).table
     assert table["scene"].tolist() == list(range(7)) and not table["contact"].any()
     assert table["states"] == pytest.approx(one_by_one(scenes, "states"), abs=1e-11)
 
-    def refused(plan):
-        if 3 in places(plan):
+    def fails_for_the_fourth(plan):
+        if 3 in numbers_of(plan):
             raise ValueError("not with this one")
         return middle(plan)
 
-    found = cs.sweep(scenes, refused)
+    found = cs.sweep(scenes, fails_for_the_fourth)
     assert [failure.scene for failure in found.failures] == [3]
     assert found.table["states"] == pytest.approx(np.delete(table["states"], 3, 0), abs=1e-11)
 
@@ -94,7 +93,7 @@ def test_scenes_that_have_nothing_in_common_keep_their_order():
     assert table["points"] == pytest.approx(one_by_one(scenes, "points"), abs=1e-12)
 
 
-def test_summary_is_the_exact_slip_law():
+def test_the_summary_follows_the_exact_slip_law():
     scene = rolling_towards(0, profile=(0.2,), gain=cs.Gain.time(7.0))
     row = cs.sweep([scene]).table[0]
     first = float(cs.plan(scene).slip_speed([0.0])[0, 0])
@@ -104,7 +103,7 @@ def test_summary_is_the_exact_slip_law():
     assert row["state_end"] == pytest.approx(cs.plan(scene).states([1.0])[0, 0], abs=1e-12)
 
 
-def test_summary_says_where_slip_stays_and_where_there_is_none():
+def test_recovery_is_inf_where_slip_stays_and_nan_where_there_was_none():
     slow, fast = cs.Gain.time(0.01), cs.Gain.time(50.0)
     stays = rolling_towards(0, gain=slow, profile=(0.1,))
     none = rolling_towards(1, object_velocity="rolling")
@@ -114,7 +113,7 @@ def test_summary_says_where_slip_stays_and_where_there_is_none():
     assert table["recovery"][0] == math.inf and math.isnan(table["recovery"][1])
     exact = cs.rejections(cs.plan(pushed))[0]
     assert table["recovery"][2] == pytest.approx(exact.time, rel=0.02)
-    assert table["recovery"][3] == 0.0
+    assert table["recovery"][3] == 0.0  # an offset's slip ends with it
 
 
 def test_a_scene_that_fails_is_kept_with_its_error_beside_the_others(tmp_path):
@@ -142,26 +141,26 @@ def test_a_scene_that_fails_is_kept_with_its_error_beside_the_others(tmp_path):
         (lambda n: {"end": np.zeros((n + 1, 1, 9))}, r"'end' of shape \(2, 1, 9\)"),
     ],
 )
-def test_outputs_that_no_file_holds_are_refused_by_name(outputs, said):
+def test_outputs_that_cannot_be_saved_are_refused_by_name(outputs, said):
     with pytest.raises(cs.ContactSystemError, match=said):
         cs.sweep(family(3), lambda plan: outputs(len(plan.scene.contacts)))
 
 
-def own(scene: cs.Scene) -> dict[str, np.ndarray]:
-    """An `evaluate` for each=True, which needs no plan."""
+def angles(scene: cs.Scene) -> dict[str, np.ndarray]:
+    """An evaluation of scenes, not of plans, that fails for K1."""
     if scene.name == "K1":
         raise ValueError("not this one")
     return {"angle": np.array([contact.angle for contact in scene.contacts])}
 
 
-def test_scenes_are_evaluated_one_by_one_if_each_is_set(tmp_path):
+def test_with_each_a_function_gets_the_scenes_one_by_one_and_no_plan(tmp_path):
     scenes = [rolling_towards(0, angle=0.5), "K1", rolling_towards(1), "D1"]
     for _ in range(2):
-        found = cs.sweep(scenes, own, each=True, folder=tmp_path)
+        found = cs.sweep(scenes, angles, each=True, folder=tmp_path)
         assert found.table["scene"].tolist() == [0, 2, 3, 3, 3]
         assert found.table["angle"].tolist() == [0.5, 0.3, 0, 0, 0]
         assert [(f.scene, f.error) for f in found.failures] == [(1, "ValueError: not this one")]
-    assert len(list(tmp_path.iterdir())) == 4  # one at a time
+    assert len(list(tmp_path.iterdir())) == 4  # a file for each scene
 
 
 def test_outputs_that_differ_between_scenes_are_refused():
@@ -172,7 +171,7 @@ def test_outputs_that_differ_between_scenes_are_refused():
         cs.sweep([rolling_towards(0), one_contact("torus")], names)
 
 
-def test_a_generator_is_not_taken_ahead_of_the_workers():
+def test_a_generator_of_scenes_is_read_no_further_ahead_than_asked():
     taken, seen = 0, []
 
     def scenes():
@@ -191,8 +190,8 @@ def test_a_generator_is_not_taken_ahead_of_the_workers():
     assert all(now <= 2 * (k + 4) for k, now in enumerate(seen))
 
 
-def places(plan: cs.Plan) -> list[int]:
-    """Which scenes of `family` a plan is of."""
+def numbers_of(plan: cs.Plan) -> list[int]:
+    """Numbers of the scenes of `family` that were joined in one plan."""
     return [round(100 * (c.object_at[0] - 0.9)) for c in plan.scene.contacts]
 
 
@@ -200,10 +199,10 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path):
     scenes, done = family(10), []
 
     def interrupted(plan):
-        if 7 in places(plan) and 7 not in done:
+        if 7 in numbers_of(plan) and 7 not in done:
             done.append(7)
             raise KeyboardInterrupt
-        done.extend(places(plan))
+        done.extend(numbers_of(plan))
         return middle(plan)
 
     with pytest.raises(KeyboardInterrupt):
@@ -218,7 +217,7 @@ def test_only_chunks_of_changed_scenes_are_done_again(tmp_path):
     scenes, done = [*family(5), functools.partial(rolling_towards, 5)], []
 
     def counted(plan):
-        done.extend(places(plan))
+        done.extend(numbers_of(plan))
         return middle(plan)
 
     cs.sweep(scenes, counted, folder=tmp_path, chunk=2)
@@ -234,7 +233,7 @@ def test_only_chunks_of_changed_scenes_are_done_again(tmp_path):
     assert [len(table) for table in found] == [2, 2, 2]
 
 
-def test_results_of_another_surface_are_not_taken_over(tmp_path):
+def test_saved_results_are_not_used_for_a_surface_of_another_function(tmp_path):
     for function in (lambda u, v: (u, v, 0.1 * u * v), lambda u, v: (u, v, -0.5 * u * u)):
         surface = cs.ParametricSurface(function)
         scene = one_contact(object_at=(-0.4, 0.3)).replace(object=surface)
@@ -242,7 +241,7 @@ def test_results_of_another_surface_are_not_taken_over(tmp_path):
         assert found == pytest.approx(one_by_one([scene], "states"), abs=1e-12)
 
 
-def test_results_of_a_file_that_was_changed_are_not_taken_over(tmp_path):
+def test_saved_results_are_not_used_for_a_scene_file_that_was_changed(tmp_path):
     file, folder = tmp_path / "scene.toml", tmp_path / "results"
     with pytest.raises(cs.ContactSystemError, match="no scene has a result; the first of 1"):
         _ = cs.sweep([str(file)], middle, folder=folder).table  # no such file yet
@@ -252,7 +251,7 @@ def test_results_of_a_file_that_was_changed_are_not_taken_over(tmp_path):
         assert found == pytest.approx(one_by_one([rolling_towards(k)], "states"), abs=1e-12)
 
 
-def test_sweeps_share_a_folder_and_say_what_was_removed_from_it(tmp_path, monkeypatch):
+def test_sweeps_may_share_a_folder_and_name_a_file_that_was_removed_from_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     first = cs.sweep(family(2), middle, folder="results")
     monkeypatch.chdir("/")
@@ -286,7 +285,7 @@ def test_arguments_of_another_kind_are_refused_by_name(option, value, remedy):
         cs.sweep(rolling_towards(0))
 
 
-def test_functions_that_no_process_can_be_sent_are_refused():
+def test_functions_that_cannot_be_pickled_for_processes_are_refused():
     with ProcessPoolExecutor(1) as pool:
         for scenes, evaluate in ((["K1"], lambda plan: middle(plan)), ([lambda: None], middle)):
             with pytest.raises(cs.ContactSystemError, match="give functions of a module"):
@@ -313,7 +312,9 @@ def test_a_folder_or_a_file_that_cannot_be_written_is_refused_by_name(tmp_path):
         cs.sweep(["C1"], folder=tmp_path)
 
 
-def end_at(t: float | np.ndarray):
+def state_at(t: float | np.ndarray):
+    """A function of a plan: its state at t."""
+
     def end(plan: cs.Plan) -> dict[str, np.ndarray]:
         return {"end": plan.states(np.reshape(t, 1))[0]}
 
@@ -321,15 +322,10 @@ def end_at(t: float | np.ndarray):
 
 
 @pytest.mark.parametrize("times", [(0.1, 0.5), np.array([[0.1], [0.1 + 3e-10]])])
-def test_a_folder_knows_functions_apart_that_one_function_made_of_other_numbers(times, tmp_path):
+def test_saved_results_are_not_used_for_a_function_with_another_captured_value(times, tmp_path):
     for t in times:
-        found = cs.sweep(family(1), end_at(t), folder=tmp_path).table["end"]
+        found = cs.sweep(family(1), state_at(t), folder=tmp_path).table["end"]
         assert found == pytest.approx(cs.plan(family(1)[0]).states(np.reshape(t, 1))[0], abs=1e-12)
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -342,15 +338,15 @@ def test_a_terminal_shows_how_many_scenes_are_done(known, monkeypatch):
     assert re.search("[1-8] scenes", drawn) and ("[###" in drawn) is known
 
 
-needs_kill = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="processes are not killed")
+needs_kill = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no SIGKILL")
 
 
-def spawned() -> ProcessPoolExecutor:
+def spawned_processes() -> ProcessPoolExecutor:
     return ProcessPoolExecutor(2, mp_context=get_context("spawn"))
 
 
 @contextlib.contextmanager
-def of_dask():
+def dask_workers():
     distributed = pytest.importorskip("distributed")
     cluster = distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None)
     with cluster, distributed.Client(cluster) as client:
@@ -358,10 +354,10 @@ def of_dask():
 
 
 @needs_kill
-@pytest.mark.parametrize("workers", [spawned, of_dask])
+@pytest.mark.parametrize("workers", [spawned_processes, dask_workers])
 def test_nothing_is_lost_with_a_worker_that_is_killed(workers, tmp_path):
     scenes = family(12)
-    evaluate = functools.partial(middle_where_no_worker_dies, tmp_path / "killed")
+    evaluate = functools.partial(middle_after_one_kill, tmp_path / "killed")
     with workers() as pool:
         found = cs.sweep(scenes, evaluate, pool, chunk=2)
     assert (tmp_path / "killed").exists() and not found.failures
@@ -370,10 +366,10 @@ def test_nothing_is_lost_with_a_worker_that_is_killed(workers, tmp_path):
 
 
 @needs_kill
-def test_a_scene_that_kills_its_workers_fails_alone_and_is_tried_again_later(tmp_path):
+def test_a_scene_that_kills_its_workers_fails_alone_and_the_next_sweep_tries_it_again(tmp_path):
     evaluate = functools.partial(middle_of_all_but_one, tmp_path / "mark")
     options = {"folder": tmp_path / "results", "chunk": 1}
-    with spawned() as pool:
+    with spawned_processes() as pool:
         found = cs.sweep(family(4), evaluate, pool, **options)
     assert found.table["scene"].tolist() == [0, 2, 3]
     assert [failure.scene for failure in found.failures] == [1]

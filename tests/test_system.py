@@ -1,4 +1,4 @@
-"""The whole scene as one system of equations: integrated by scipy it gives what plan() gives."""
+"""SceneSystem: its equations, integrated by scipy, give what plan() gives."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from contact_system import SceneSystem
 COORDINATES = ("chart", "frame")
 SIZE = dict(state=9, slip=2, twist=6, acceleration=6, pose=12, contact_point=6, slip_acceleration=2)
 TURN = 2 * np.pi
-# A surface of each form of state: in space, chart only, developable, no chart.
+# Surfaces with every form of state: in space, in a chart alone, developable, without a chart.
 OBJECTS = ("plane", "sphere", "ellipsoid", "bumps", "cylinder", "rounded cube")
 WINDOW = (0.3, 0.6)
 DISTURBANCES = {
@@ -26,11 +26,11 @@ DISTURBANCES = {
     "offset": cs.ObjectRateOffset(0, *WINDOW, (0.4, -0.3)),
 }
 LATE = cs.FingerAcceleration(0, 0.5, 0.75, (0.1, 0.2))
-BETWEEN = cs.ObjectRateOffset(0, 0.4, 0.6, (0.4, -0.3))  # corners at 0.3, 0.7 and 0.9 s
+BETWEEN = cs.ObjectRateOffset(0, 0.4, 0.6, (0.4, -0.3))  # corners of `LEGS`: 0.3, 0.7 and 0.9 s
 
 
 def integrate(system, t, begin=0.0, x=None, held=None):
-    """(t, x, w, held) at ascending times, integrated from edge to edge."""
+    """(t, x, w, held) at ascending times, integrated from each edge of a window to the next."""
     x = system.x0 if x is None else x
     held = system.held0 if held is None else held
     function, found = system.function("derivatives"), []
@@ -55,17 +55,19 @@ def outputs(system, run, name):
 
 
 def error(system, t, scene=None):
-    """Greatest difference from plan() of points, pose, twist; slip, its acceleration by length."""
+    """Greatest difference from plan(): of points, pose and twist by component, and of slip and its
+    acceleration by length, as the axes of two frames at one point may differ."""
     plan, run = cs.plan(scene or system.scene, 1e-13), integrate(system, t)
     points = outputs(system, run, "contact_point") - plan.points(t).reshape(len(t), -1, 6)
     pose, planned = outputs(system, run, "pose"), plan.pose(t)
     turned = pose[..., :9].reshape(len(t), -1, 3, 3).swapaxes(-1, -2) - planned[..., :3, :3]
     slip = np.linalg.norm(outputs(system, run, "slip"), axis=-1) - plan.slip_speed(t)
-    pushed = np.linalg.norm(outputs(system, run, "slip_acceleration"), axis=-1)
-    pushed -= np.linalg.norm(plan.acceleration(t), axis=-1)  # at the last corner: before it
+    acceleration = np.linalg.norm(outputs(system, run, "slip_acceleration"), axis=-1)
+    acceleration -= np.linalg.norm(plan.acceleration(t), axis=-1)
+    acceleration = acceleration[:-1]  # at the end of a leg: before it or after it
     twist = outputs(system, run, "twist") - plan.twist(t)
     moved = pose[..., 9:] - planned[..., :3, 3]
-    return max(np.abs(part).max() for part in (points, turned, moved, slip, pushed[:-1], twist))
+    return max(np.abs(part).max() for part in (points, turned, moved, slip, acceleration, twist))
 
 
 @pytest.mark.parametrize("pushes", [(), (*DISTURBANCES.values(),)], ids=["calm", "disturbed"])
@@ -100,18 +102,18 @@ MOTIONS = {
 def test_slip_decays_by_every_gain_law_as_planned(motion, gain):
     for obj in ("bowl", "rounded cube"):
         scene = one_contact(obj, gain=gain, **MOTIONS[motion])
-        # The guaranteed law has a kink, which this integrator steps across.
+        # 1e-8: the guaranteed gain's rate has kinks, across which this integrator steps
         assert error(SceneSystem(scene, "frame"), np.linspace(0, 1, 7)) < 1e-8
 
 
-def test_contacts_turn_each_at_corners_of_its_own():
+def test_every_contact_turns_at_the_corners_of_its_own_legs():
     scene = one_contact("ellipsoid", legs=LEGS)
     both = [scene.contacts[0], dataclasses.replace(scene.contacts[0], legs=())]
     assert error(SceneSystem(scene.replace(contacts=both)), np.linspace(0, 1, 9)) < 1e-9
 
 
 @pytest.mark.parametrize("name", ("C1", "C2"))
-def test_imposed_rolling_is_a_contact_without_slip(name):
+def test_imposed_rolling_moves_as_planned(name):
     scene = cs.load_scene(name)
     assert error(SceneSystem(scene, "frame"), np.linspace(0, scene.duration, 5)) < 1e-9
 
@@ -136,7 +138,7 @@ def test_measured_states_restart_the_motion(kind, coordinates):
     assert np.abs(points).max() < 1e-10
 
 
-def test_a_restart_refuses_what_does_not_determine_a_motion():
+def test_states_that_determine_no_motion_are_refused():
     system = SceneSystem(one_contact("bowl", profile=(0.0, 0.3)), "frame")
     state = cs.plan(system.scene).states(0.5)
     for t, speed in ((0.0, "0"), (np.inf, "inf")):
@@ -163,7 +165,7 @@ def test_drift_off_the_surface_dies_out_along_the_path():
 
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
-def test_parameters_are_what_the_scene_says(coordinates):
+def test_with_another_value_of_a_parameter_the_system_is_that_of_another_scene(coordinates):
     scene, other = cs.load_scene("K1"), cs.Sphere(0.13)
     system = SceneSystem(scene, coordinates)
     changed = SceneSystem(dataclasses.replace(scene, object=other), coordinates)
@@ -176,7 +178,7 @@ def test_parameters_are_what_the_scene_says(coordinates):
     assert np.array_equal(found, changed.evaluate("derivatives", 0.3, changed.x0))
 
 
-def test_only_what_a_scene_has_is_in_its_system():
+def test_edges_windows_and_dependencies_are_those_that_the_scene_needs():
     free = SceneSystem(cs.load_scene("K1"), "frame")
     assert free.n_w == 0 and free.edges == ()
     assert free.depends("contact_point") == {"x", "p"}
@@ -186,14 +188,14 @@ def test_only_what_a_scene_has_is_in_its_system():
     assert not disturbed.window_values(2.5).any()
 
 
-def test_the_guard_tells_numbers_that_must_not_be_used():
+def test_the_guard_is_positive_only_where_states_and_sigma_are_valid():
     system = SceneSystem(one_contact(profile=(0.1, -0.05)), "chart")
     assert system.evaluate("guard", 1.0, system.x0)[0] > 0
     assert system.evaluate("guard", 2.5, system.x0)[0] < 0  # sigma < 0
     assert not system.evaluate("guard", 1.0, system.x0 * np.nan)[0] > 0
 
 
-def test_clearance_is_the_distance_from_a_pole_and_negative_beyond():
+def test_clearance_is_the_sine_of_the_angle_from_a_pole_and_negative_beyond():
     system = SceneSystem(one_contact(), "chart")
     for u in (0.3, 1e-3, -1e-3):
         x = system.x0.copy()
@@ -227,7 +229,7 @@ def test_wrong_arguments_are_refused_by_name():
 @pytest.mark.parametrize(
     "copied", [copy.copy, copy.deepcopy, lambda system: pickle.loads(pickle.dumps(system))]
 )
-def test_a_system_that_was_asked_is_pickled_and_copied(copied):
+def test_a_system_can_be_pickled_and_copied_after_it_was_evaluated(copied):
     system = cs.SceneSystem(cs.load_scene("K4"), "frame")
     expected = system.evaluate("twist", 0.1, system.x0)
     assert system.depends("slip")
@@ -248,6 +250,6 @@ def test_a_system_that_was_asked_is_pickled_and_copied(copied):
         ),
     ],
 )
-def test_what_cannot_be_written_is_refused_with_the_remedy(scene, coordinates, message):
+def test_scenes_without_equations_in_these_coordinates_are_refused(scene, coordinates, message):
     with pytest.raises(cs.SceneError, match=message):
         SceneSystem(scene, coordinates)

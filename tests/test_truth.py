@@ -1,23 +1,19 @@
-"""Balls in Drake move as the literature says; exact motions of the truth bench are exact."""
+"""Drake's balls move as closed forms and books say; the truth bench's closed forms are exact."""
 
 from __future__ import annotations
 
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.append(str(Path(__file__).parents[1]))  # benchmarks run from a checkout
-
-from benchmarks import truth_exact  # noqa: E402
+from benchmarks import truth_exact
 
 SETUPS = truth_exact.setups()
 
 
 @pytest.mark.parametrize("name", SETUPS)
-def test_the_exact_motion_solves_newtons_and_eulers_equations(name):
+def test_the_benchs_exact_motion_solves_newtons_and_eulers_equations(name):
     assert truth_exact.proof(SETUPS[name]) < 1e-12
 
 
@@ -29,7 +25,7 @@ def drake(name: str, model: str, step: float) -> truth_exact.Ended:
 
 
 @pytest.mark.parametrize(("model", "step"), [("point", 1e-3), ("hydroelastic", 2.5e-4)])
-def test_a_ball_circles_on_a_turntable_in_seven_halves_of_its_period(model, step):
+def test_a_ball_circles_on_a_turntable_in_7_2_of_the_tables_period(model, step):
     run = drake("turntable", model, step)
     (vx, vy, _), (ex, ey, _) = run.v, run.exact.v[0]
     late = math.atan2(vx * ey - vy * ex, vx * ex + vy * ey) / (2 * math.pi)  # of a turn
@@ -38,14 +34,14 @@ def test_a_ball_circles_on_a_turntable_in_seven_halves_of_its_period(model, step
 
 
 @pytest.mark.parametrize("name", ["slope, rolling", "slope, sliding", "slip that dies"])
-def test_a_ball_has_the_speed_that_friction_leaves_it(name):
+def test_a_ball_on_a_slope_has_the_exact_speed_whether_it_rolls_or_slides(name):
     run = drake(name, "point", 1e-3)
     assert run.v[0] == pytest.approx(run.exact.v[0, 0], rel=1e-3)
 
 
 @pytest.mark.parametrize("model", ["point", "hydroelastic"])
 def test_a_ball_between_plates_goes_half_as_fast(model):
-    """One plate is fixed, and one so heavy that nothing stops it slides over the ball."""
+    """One plate is fixed; the other slides over the ball and is so heavy that nothing slows it."""
     pytest.importorskip("pydrake")
     from pydrake import geometry as shapes
     from pydrake.math import RigidTransform

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 import random
-import subprocess
-import sys
 from math import pi
 
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import one_contact
+from conftest import one_contact, run_python
 
 import contact_system as cs
 from contact_system import ContactSystemError, ImplicitSurface, ParametricSurface, SurfaceError
@@ -51,10 +49,10 @@ def test_chart_may_be_plain_numpy_or_casadi(chart):
         lambda x: np.dot(x, x) - 0.01,
         lambda x: x.T @ np.eye(3) @ x - 0.01,
         lambda x: [ca.norm_2(x) - 0.1],
-        "1e200*(x**2 + y**2 + z**2 - 0.01)",  # |grad F|^2 is no double
+        "1e200*(x**2 + y**2 + z**2 - 0.01)",  # |grad F|^2 is above the greatest double
     ],
 )
-def test_implicit_sphere_is_the_sphere(level):
+def test_a_sphere_by_its_level_function_is_the_sphere(level):
     surface, truth = ImplicitSurface(level, size=0.1), cs.Sphere(0.1)
     path, known = (cs.plan(one_contact(shape)).points([0.0, 1.0]) for shape in (surface, truth))
     assert np.allclose(path, known, rtol=0, atol=1e-13)
@@ -96,11 +94,11 @@ for _name in ("atan2", "hypot", "fmin", "fmax", "copysign", "fmod"):
 
 
 @pytest.mark.parametrize("name", ONE.split())
-def test_functions_of_one_number_are_numpys(name):
-    own = "arc" + name[1:] if name[0] == "a" else name
+def test_functions_of_one_number_agree_with_numpys(name):
+    numpy_name = "arc" + name[1:] if name[0] == "a" else name
     x = np.random.default_rng(0).uniform(-3, 3, 100)
     with np.errstate(all="ignore"):
-        expected = getattr(np, own)(x)
+        expected = getattr(np, numpy_name)(x)
     surface = ParametricSurface(lambda u, v: [u, v, getattr(ca, name)(u)])
     known = np.isfinite(expected)
     found = surface.point(x[known], 0.3)[:, 2]
@@ -108,17 +106,17 @@ def test_functions_of_one_number_are_numpys(name):
 
 
 @pytest.mark.parametrize("name", TWO)
-def test_functions_of_two_numbers_are_numpys(name):
-    made, expected = TWO[name]
+def test_functions_of_two_numbers_agree_with_numpys(name):
+    of_symbols, of_numbers = TWO[name]
     rng = np.random.default_rng(0)
     x, y = rng.uniform(0.2, 2, (2, 50)) * rng.choice([-1, 1], (2, 50))
-    both = lambda u, v, k: [u, v, made(u, v) + made(u, k)]  # noqa: E731
-    surface = ParametricSurface(both, parameters={"k": 0.7})
-    truth = expected(x, y) + expected(x, 0.7 + 0 * x)
+    chart = lambda u, v, k: [u, v, of_symbols(u, v) + of_symbols(u, k)]  # noqa: E731
+    surface = ParametricSurface(chart, parameters={"k": 0.7})
+    truth = of_numbers(x, y) + of_numbers(x, 0.7 + 0 * x)
     assert surface.point(x, y)[:, 2] == pytest.approx(truth, rel=4e-15, abs=2e-15)
 
 
-def test_an_operation_that_is_not_known_is_named_with_what_to_write_instead():
+def test_an_operation_that_the_engine_lacks_is_named_with_what_to_write_instead():
     bell = ParametricSurface(lambda u, v: [u, v, ca.erf(u)])
     words = "operation OP_ERF of CasADi has no .*write the surface with"
     with pytest.raises(ContactSystemError, match=words):
@@ -128,7 +126,7 @@ def test_an_operation_that_is_not_known_is_named_with_what_to_write_instead():
 # --- coordinates
 
 
-def test_implicit_surface_is_solved_from_an_offset_centre():
+def test_coordinates_of_an_implicit_surface_are_angles_about_its_center():
     level, center = "x**2/0.09 + y**2/0.04 + z**2/0.01 - 1", (0.05, 0.02, 0.01)
     surface = ImplicitSurface(level, center=center, size=0.3)
     u, v = surface.canonical(*np.random.default_rng(5).uniform(-3, 3, (2, 200)))
@@ -139,23 +137,23 @@ def test_implicit_surface_is_solved_from_an_offset_centre():
     assert np.allclose(np.arccos(ray[:, 2] / np.linalg.norm(ray, axis=1)), u, atol=1e-13)
 
 
-def test_parametric_coordinates_fold_into_the_range_of_a_period():
+def test_coordinates_of_a_periodic_chart_lie_in_its_range():
     whole = {"u_range": (0, 2 * pi), "u_period": 2 * pi}
     surface = ParametricSurface(TORUS, parameters=RADII, size=0.13, **whole)
     assert np.isclose(surface.coordinates(surface.point(-0.5, 0.2))[0], 2 * pi - 0.5)
     assert np.isclose(surface.canonical(-0.5, 0.2)[0], 2 * pi - 0.5)
 
 
-def test_point_off_a_parametric_surface_is_an_error_not_an_answer():
+def test_coordinates_of_a_point_off_a_parametric_surface_are_refused():
     with pytest.raises(SurfaceError, match="nearest miss.*u_range"):
         PARAMETRIC.coordinates([[0.13, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-# --- formulas as text: what they mean, and that nothing else is understood
+# --- formulas as text: what they mean, and that anything else is refused
 
 
 def value(text: str, **numbers: float) -> float:
-    """The value of a text, used as the height of a surface over a plane."""
+    """The value of a formula at (u, v) = (0.3, 0.4), as the height of a surface over a plane."""
     return float(ParametricSurface(("u", "v", text), parameters=numbers).point(0.3, 0.4)[2])
 
 
@@ -177,7 +175,7 @@ def value(text: str, **numbers: float) -> float:
         ("u + 2*v", 1.1),
     ],
 )
-def test_arithmetic_means_what_python_means(text, expected):
+def test_formulas_mean_what_they_mean_in_python(text, expected):
     assert value(text) == pytest.approx(expected, rel=1e-15)
 
 
@@ -188,7 +186,7 @@ def test_names_take_precedence_over_constants():
 @pytest.mark.parametrize(
     "name", "sqrt sin cos tan asin acos atan atan2 exp log sinh cosh tanh hypot pow".split()
 )
-def test_functions_of_texts_are_those_of_the_math_module(name):
+def test_functions_in_formulas_are_those_of_the_math_module(name):
     numbers = (0.3, 0.7)[: 2 if name in ("atan2", "hypot", "pow") else 1]
     expected = pytest.approx(getattr(math, name)(*numbers), rel=4e-16)
     given = dict(zip("ab", numbers))
@@ -196,7 +194,7 @@ def test_functions_of_texts_are_those_of_the_math_module(name):
     assert value(f"{name}({', '.join(given)})", **given) == expected
 
 
-def test_numbers_of_scene_files_are_pythons_to_the_last_bit(tmp_path):
+def test_arithmetic_in_scene_files_gives_pythons_result_to_the_last_bit(tmp_path):
     texts, numbers = ["0.483**3", "pi/6"], random.Random(1)
     for _ in range(100):
         a, b = round(numbers.uniform(0.1, 9), 3), numbers.randint(2, 19)
@@ -233,13 +231,13 @@ def test_mistakes_in_formulas_are_refused_by_column(text, column, words):
 
 
 @pytest.mark.parametrize("power", [10, 1000, 60000])
-def test_points_of_edges_as_sharp_as_high_powers_make_them_are_found(power):
+def test_points_of_a_level_function_of_high_power_are_exact_at_its_sharp_edges(power):
     surface, at = ImplicitSurface(f"x**{power} + y**4 + z**4 - 1"), np.mgrid[0.1:3:9j, -3:3:9j]
     x = surface.point(*at)
     steps = 10 * np.finfo(float).eps * np.array([power, 4, 4])
     assert (np.abs((x ** [power, 4, 4]).sum(-1) - 1) < steps.max()).all()
     for place, point in zip(at.reshape(2, -1).T, x.reshape(-1, 3)):
-        assert np.array_equal(surface.point(*place), point)  # to the last bit, as a loaded plan's
+        assert np.array_equal(surface.point(*place), point)  # alone, to the last bit
 
 
 UNKNOWN = """__import__('os').system('true') | ().__class__ | u.real | [1, 2] | (1, 2) | lambda: 1
@@ -250,7 +248,7 @@ LONG = ["(" * 3000 + "1" + ")" * 3000, "-" * 9000 + "1", "1+" * 6000 + "1", "9" 
 
 
 @pytest.mark.parametrize("text", UNKNOWN + LONG, ids=lambda text: text[:20] or "empty")
-def test_nothing_but_arithmetic_is_understood(text):
+def test_texts_that_are_not_arithmetic_are_refused(text):
     with pytest.raises(ContactSystemError, match="formula"):
         value(text)
 
@@ -296,10 +294,10 @@ with ThreadPoolExecutor(8) as executor:
 
 
 @pytest.mark.parametrize("program", [IN_THREADS, PLAN_AT_ONCE], ids=["read", "planned"])
-def test_formulas_are_used_in_many_threads(program):
-    """In a process of its own: constants of CasADi that two threads made at once ended it, and so
-    did tables of a surface that two threads made at once."""
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+def test_many_threads_may_read_formulas_and_plan_with_them_at_once(program):
+    """In a process of its own, which crashed where two threads at once made the same constant of
+    CasADi, or the tables of the same surface."""
+    run_python("-c", program)
 
 
 # --- errors

@@ -1,4 +1,4 @@
-"""Programs in C and importers, besides fmpy, that run FMUs; and a scene that has everything."""
+"""Hosts of FMUs for tests: fmpy by names, other importers, programs in C; and a demanding scene."""
 
 import contact_system as cs
 
@@ -20,4 +20,5 @@ EVERYTHING = cs.Scene(
     ],
     name="everything",
 )
-"""A double cover, sigma that dips and later ends, gain in pieces, windows that overlap, legs."""
+"""An ellipsoid covered twice, legs, overlapping windows, sigma that falls and rises (so that the
+guaranteed gain changes its formula) and is negative from after the end of the scene on."""

@@ -1,4 +1,4 @@
-"""One interface, by names of variables, to an exported FMU and to a slave in this process."""
+"""An exported FMU or a slave in this process with one interface, asked by variables' names."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ from fmu_export import PlannerSlave2, PlannerSlave3, export_fmu, in_process, var
 
 from .native import Fmu
 
-BLOCKS = [("FMU", "2.0"), ("slave", "3.0")]
-"""The two run the same code."""
 _STATE = {"2.0": ("FMUstate", "deSerialize"), "3.0": ("FMUState", "deserialize")}
 
 
@@ -37,17 +35,17 @@ def exported(scene: cs.Scene, version: str, **options: Any) -> Fmu:
 
 
 def columns(i: int) -> list[str]:
-    """u1 v1 u1' v1' u2 v2 u2' v2' psi of contact i, from 0, as `Plan.states` has them."""
+    """Variables u1 v1 u1' v1' u2 v2 u2' v2' psi of contact i (0, 1, ...), as in `Plan.states`."""
     c = f"contact[{i + 1}]."
     sides = [[f"{c}{side}.u", f"{c}{side}.v"] for side in ("finger", "object")]
     return [*(n for ab in sides for n in (*ab, *(f"der({n})" for n in ab))), c + "angle"]
 
 
 class Instance:
-    """An instance of an FMU or a slave, asked by names; ``time`` is where it stands.
+    """An instance of an FMU or a slave; ``time`` is its time, ``said`` its log.
 
-    Options are those of fmpy (``eventModeUsed``, ``earlyReturnAllowed``) or, for a slave, turned
-    into its own; and ``measured``, which describes the model.
+    Options are those of fmpy (``eventModeUsed``, ``earlyReturnAllowed``), also for a slave, and
+    ``measured`` of `export_fmu`.
     """
 
     def __init__(self, scene: cs.Scene, kind: str, version: str, interface="CoSimulation", **given):
@@ -65,7 +63,7 @@ class Instance:
             self.own = slave(scene, logger=lambda *line: self.said.append(line), **options)
 
     def begin(self, time: float = 0.0, stop: float | None = None, **start: Any) -> Instance:
-        """Set values by name, initialize, and enter step mode if there is one."""
+        """Set ``start`` values by name and initialize. FMI 3 with events is then in event mode."""
         self.put(start.get("start", {}))
         self.time = time
         if self.version == "2.0":
@@ -95,9 +93,9 @@ class Instance:
 
     def step(self, *sizes: float) -> Any:
         for size in sizes:
-            told = self.own.doStep(self.time, size)
-            self.time = told[-1] if self.version == "3.0" else self.time + size
-        return told
+            found = self.own.doStep(self.time, size)
+            self.time = found[-1] if self.version == "3.0" else self.time + size
+        return found
 
     def states(self) -> np.ndarray:
         """(n_contacts, 9)"""
@@ -105,7 +103,7 @@ class Instance:
         return self.get(*(n for i in range(count) for n in columns(i))).reshape(count, 9)
 
     def everything(self) -> np.ndarray:
-        """All variables but time."""
+        """The values of all variables but time."""
         return self.get(*(v.name for v in self.table.rows[1:]))
 
     def state(self) -> Any:
@@ -117,7 +115,7 @@ class Instance:
         return self
 
     def written(self, state: Any = None) -> bytes:
-        """A state, or the present one, as bytes."""
+        """A state as bytes; by default the present one."""
         write = getattr(self.own, f"serialize{_STATE[self.version][0]}")
         return bytes(write(self.state() if state is None else state))
 
@@ -129,7 +127,7 @@ class Instance:
         getattr(self.own, f"free{_STATE[self.version][0]}")(state)
 
     def directional(self, unknowns: list[str], knowns: list[str], seed: Any) -> np.ndarray:
-        """Of variables of one element."""
+        """Directional derivatives along a seed, of and by variables of one element each."""
         count = () if self.version == "2.0" else (len(unknowns),)
         references = [[self.reference(n) for n in names] for names in (unknowns, knowns)]
         return np.array(self.own.getDirectionalDerivative(*references, list(seed), *count))
@@ -149,19 +147,19 @@ class Instance:
         return np.array(out)
 
     def refused(self, words: str, call: Any, *arguments: Any) -> None:
-        """The call ends in an error whose message, or last line of the log, matches words."""
+        """Assert that a call ends in an error whose message, or a line logged in it, has words."""
         self.said.clear()
         try:
             call(*arguments)
         except FMICallException as error:
-            told = "\n".join([str(error), *(line[-1] for line in self.said)])
-            assert re.search(words, told), told
+            messages = "\n".join([str(error), *(line[-1] for line in self.said)])
+            assert re.search(words, messages), messages
         else:
             raise AssertionError("not refused")
 
 
 def simulated(scene: cs.Scene, kind: str, version: str, **given: Any) -> np.ndarray:
-    """The result of `fmpy.simulate_fmu`, with all outputs and states."""
+    """All outputs and states from `fmpy.simulate_fmu`."""
     scalars = variable_table(scene).rows
     names = [v.name for v in scalars if v.causality in ("output", "local")]
     given = {"output": names, "relative_tolerance": 1e-10} | given
@@ -174,13 +172,13 @@ def simulated(scene: cs.Scene, kind: str, version: str, **given: Any) -> np.ndar
 
 
 def simulated_states(result: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """(n_times, n_contacts, 9) of what fmpy gives, in the turn of what is wanted."""
+    """States (n_times, n_contacts, 9) of a result of fmpy, less whole turns against ``wanted``."""
     rows = [[result[name] for name in columns(i)] for i in range(wanted.shape[1])]
     found = np.moveaxis(np.array(rows), 2, 0)
     return found - math.tau * np.rint((found - wanted) / math.tau)
 
 
 def close(found: Any, expected: Any, bar: float = 1e-12) -> None:
-    """Approximately equal, within a fraction of the expected values' size."""
+    """Assert agreement to ``bar`` times the greatest expected number, or times 1."""
     size = max(1.0, np.abs(expected).max())
     np.testing.assert_allclose(found, expected, rtol=0, atol=bar * size)

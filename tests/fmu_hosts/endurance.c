@@ -3,10 +3,10 @@
    endurance threads STEP COUNT INSTANCES TOKEN N_VALUES REFERENCE...
 
    time: prints, REPEATS times, microseconds a step, and a step with the values read.
-   memory: COUNT steps and a reset, REPEATS times; prints calls of the allocator inside of steps,
-     growth of the heap in use and growth of the process, bytes, after the first time.
-   threads: INSTANCES instances on two threads, in turns; prints how many of them end in other bits
-     than one alone. */
+   memory: COUNT steps and a reset, REPEATS times; prints the number of calls of the allocator in
+     steps, and by how many bytes the heap in use and the process grow after the third time.
+   threads: INSTANCES instances on two threads; prints how many of them end with other bits than one
+     instance alone. */
 #define _GNU_SOURCE
 #include "fmu.h"
 
@@ -15,7 +15,7 @@
 #include <time.h>
 #include <unistd.h>
 
-static void heard(int status, const char *category, const char *text) {
+static void on_log_line(int status, const char *category, const char *text) {
   fprintf(stderr, "%d %s: %s\n", status, category, text);
 }
 
@@ -121,7 +121,7 @@ typedef struct {
   long count;
 } crew_t;
 
-/* All instances take a step before one of them takes the next. */
+/* Steps a crew's instances: each of them once, then each of them a second time, and so on. */
 static void *step_all(void *given) {
   const crew_t *crew = given;
   const job_t *job = crew->job;

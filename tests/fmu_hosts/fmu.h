@@ -8,10 +8,10 @@
 
 #define MOST_VALUES 4096
 
-/* Called with every log line, complete, its category first. */
-static void heard(int status, const char *category, const char *text);
+/* Called with every log line; `text` is formatted. Each program defines it. */
+static void on_log_line(int status, const char *category, const char *text);
 
-/* The resources of the FMU, whose folder the environment says; FMI 2 wants a URI. */
+/* The FMU's resources folder, by the variable FMU_FOLDER; FMI 2 wants a URI ("file://" before). */
 static const char *resources(const char *before) {
   static char text[4096];
   const char *folder = getenv("FMU_FOLDER");
@@ -31,13 +31,14 @@ static void log_line(fmi2ComponentEnvironment environment, fmi2String name, fmi2
   va_start(arguments, format);
   vsnprintf(text, sizeof text, format, arguments);
   va_end(arguments);
-  heard(status, category, text);
+  on_log_line(status, category, text);
 }
 
 static const fmi2CallbackFunctions callbacks = {log_line, calloc, free, NULL, NULL};
 
 static fmu_t create(const char *token, int stepping) {
-  return fmi2Instantiate("one", stepping ? fmi2CoSimulation : fmi2ModelExchange, token, resources("file://"), &callbacks, fmi2False, fmi2True);
+  return fmi2Instantiate("one", stepping ? fmi2CoSimulation : fmi2ModelExchange, token,
+                         resources("file://"), &callbacks, fmi2False, fmi2True);
 }
 
 static int begin(fmu_t fmu) {
@@ -49,7 +50,7 @@ static int advance(fmu_t fmu, double time, double size) {
   return fmi2DoStep(fmu, time, size, fmi2True);
 }
 
-static int look_at(fmu_t fmu, double time) {
+static int set_continuous_time(fmu_t fmu, double time) {
   return fmi2EnterContinuousTimeMode(fmu) || fmi2SetTime(fmu, time);
 }
 
@@ -67,14 +68,15 @@ typedef fmi3Instance fmu_t;
 static void log_line(fmi3InstanceEnvironment environment, fmi3Status status, fmi3String category,
                      fmi3String text) {
   (void)environment;
-  heard(status, category, text);
+  on_log_line(status, category, text);
 }
 
 static fmu_t create(const char *token, int stepping) {
   if (!stepping)
-    return fmi3InstantiateModelExchange("one", token, resources(""), fmi3False, fmi3True, NULL, log_line);
-  return fmi3InstantiateCoSimulation("one", token, resources(""), fmi3False, fmi3True, fmi3False, fmi3False,
-                                     NULL, 0, NULL, log_line, NULL);
+    return fmi3InstantiateModelExchange("one", token, resources(""), fmi3False, fmi3True, NULL,
+                                        log_line);
+  return fmi3InstantiateCoSimulation("one", token, resources(""), fmi3False, fmi3True, fmi3False,
+                                     fmi3False, NULL, 0, NULL, log_line, NULL);
 }
 
 static int begin(fmu_t fmu) {
@@ -89,7 +91,7 @@ static int advance(fmu_t fmu, double time, double size) {
          terminate || early;
 }
 
-static int look_at(fmu_t fmu, double time) {
+static int set_continuous_time(fmu_t fmu, double time) {
   return fmi3EnterContinuousTimeMode(fmu) || fmi3SetTime(fmu, time);
 }
 
@@ -107,8 +109,8 @@ static void stop(const char *what) {
   exit(1);
 }
 
-/* What every program is told last: TOKEN N_VALUES REFERENCE..., N_VALUES being what all of the
-   references together hold. */
+/* The last arguments of every program: TOKEN N_VALUES REFERENCE...; the variables of all references
+   together have N_VALUES values. */
 typedef struct {
   const char *token;
   size_t n_values, count;

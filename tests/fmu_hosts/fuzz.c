@@ -1,15 +1,15 @@
 /* fuzz SEQUENCES BLOBS SEED TOKEN N_VALUES REFERENCE...
 
-   Random sequences of calls with random arguments, legal or not, of both interfaces, and damaged
-   state bytes. Built with sanitizers; besides what those find it stops when
+   Makes random sequences of calls, legal or not, with random arguments, of both interfaces, and
+   reads damaged state bytes. Built with sanitizers; besides errors that those find it stops when
    - a status is none of OK, Warning, Discard and Error, or is not OK without a log line, or a line
-     comes in an undeclared category;
-   - numbers handed out with status OK are not finite;
-   - an instance, whatever was done to it, does not move after a reset as a fresh one does;
-   - damaged bytes are taken for a state, change the instance, or good ones are refused;
-   - one call takes a minute of the processor.
-   fuzz2.h and fuzz3.h hold the calls of each version. Prints the number of calls and how many were
-   answered with OK, and the slowest one. */
+     has an undeclared category;
+   - values returned with status OK are not finite;
+   - after a reset an instance, whatever was done to it before, gives other values than a fresh one;
+   - damaged bytes are accepted as a state or change the instance, or good ones are refused;
+   - one call takes a minute of processor time.
+   fuzz2.h and fuzz3.h have the calls of each version. Prints the number of calls, how many of them
+   returned OK, and the longest time of a call with its name. */
 #include "fmu.h"
 
 #include <math.h>
@@ -33,14 +33,14 @@ static double number(void) {
   return one_in(4) ? odd[below(sizeof odd / sizeof *odd)] : below(2000) / 1000.0;
 }
 
-/* --- what is known of the model and of the call under way ------------------------------------- */
+/* --- what is known of the model and of the present call --------------------------------------- */
 
 static model_t model;
 static unsigned greatest;  /* reference */
 static size_t n_states;    /* continuous */
-static double time_now;    /* where the instance stands, as far as the importer knows */
-static int lines, logging; /* log lines of this call; whether all of them are asked for */
-static int plain;          /* a step of this instance never returns early */
+static double time_now;    /* the instance's time, as far as the importer knows */
+static int lines, logging; /* log lines of this call; whether all categories are on */
+static int never_early;    /* a step of this instance never returns early */
 static const char *called;
 static unsigned reference[8];
 static double value[MOST_VALUES];
@@ -56,13 +56,13 @@ static void too_long(int signal) {
   fail("takes more than a minute");
 }
 
-/* Counts the processor's time, so that a busy machine does no harm. */
-static void watch(void) {
+/* It counts processor time, so that a call may take longer on a busy machine. */
+static void start_timer(void) {
   const struct itimerval minute = {.it_value = {60, 0}};
   setitimer(ITIMER_PROF, &minute, NULL);
 }
 
-static void heard(int status, const char *category, const char *text) {
+static void on_log_line(int status, const char *category, const char *text) {
   static const char *const declared[] = {"logStatusDiscard", "logStatusError"};
   int known = 0;
   for (int k = 0; k < 2; k++) known |= !strcmp(category, declared[k]);
@@ -77,8 +77,8 @@ static int finite_values(size_t n) {
   return 1;
 }
 
-/* Up to four references, a few of which do not exist; returns their number. */
-static size_t pick(void) {
+/* Chooses up to four references, a few of which do not exist; returns their number. */
+static size_t pick_references(void) {
   for (int k = 0; k < 4; k++)
     reference[k] = one_in(50)  ? below(4000000000u)
                    : one_in(4) ? below(greatest + 3)
@@ -86,7 +86,7 @@ static size_t pick(void) {
   return below(5);
 }
 
-static void fill(void) {
+static void fill_values(void) {
   for (int k = 0; k < 64; k++) value[k] = number();
 }
 
@@ -102,7 +102,7 @@ typedef struct {
 } call_t;
 
 #define KEPT 2
-static unsigned char *bytes; /* of a serialized state, a block of exactly that length */
+static unsigned char *bytes; /* a serialized state, in a block of exactly its length */
 static size_t n_bytes;
 
 static void keep_bytes(size_t n) {
@@ -111,23 +111,23 @@ static void keep_bytes(size_t n) {
   memset(bytes, 0, n);
 }
 
-/* What both versions have, under names that they spell differently. */
+/* Functions of both versions, whose names differ in spelling. */
 #if FMI_VERSION == 2
 #define F(two, three) fmi2##two
 typedef fmi2Byte byte_t;
-static void no_callback(void) {}
+static void disable_callback(void) {}
 #else
 #define F(two, three) fmi3##three
 typedef fmi3Byte byte_t;
 static fmu_t inside; /* the instance that calls back */
-static void no_callback(void) { inside = NULL; }
+static void disable_callback(void) { inside = NULL; }
 #endif
 
 static F(FMUstate, FMUState) state[KEPT];
 
-static void forget_states(fmu_t fmu) {
+static void free_states(fmu_t fmu) {
   for (int k = 0; k < KEPT; k++) F(FreeFMUstate, FreeFMUState)(fmu, &state[k]);
-  no_callback();
+  disable_callback();
 }
 
 static int write_bytes(fmu_t fmu) {
@@ -189,22 +189,22 @@ static int set_time(fmu_t fmu) { return F(SetTime, SetTime)(fmu, number()); }
 
 static int completed_step(fmu_t fmu) {
   F(Boolean, Boolean) a, b;
-  return F(CompletedIntegratorStep, CompletedIntegratorStep)(fmu, one_in(2),
-                                                             one_in(50) ? NULL : &a, &b);
+  return F(CompletedIntegratorStep, CompletedIntegratorStep)(fmu, one_in(2), one_in(50) ? NULL : &a,
+                                                             &b);
 }
 
-static size_t of_states(void) { return one_in(15) ? below((unsigned)n_states) : n_states; }
+static size_t states_count(void) { return one_in(15) ? below((unsigned)n_states) : n_states; }
 
 static int set_states(fmu_t fmu) {
   fill_states();
-  const size_t n = of_states();
+  const size_t n = states_count();
   const int status = F(SetContinuousStates, SetContinuousStates)(fmu, value, n);
   if (!status && !finite_values(n)) fail("a state that is not finite was taken");
   return status;
 }
 
 static int get_derivatives(fmu_t fmu) {
-  const size_t n = of_states();
+  const size_t n = states_count();
   const int status = F(GetDerivatives, GetContinuousStateDerivatives)(fmu, value, n);
   if (!status && !finite_values(n)) fail("a derivative that is not finite, with status OK");
   return status;
@@ -218,7 +218,7 @@ static int get_derivatives(fmu_t fmu) {
 
 /* --- sequences -------------------------------------------------------------------------------- */
 
-static long made, granted; /* calls, those answered with OK */
+static long calls_made, accepted; /* accepted: those that returned OK */
 static double slowest;
 static const char *slowest_name = "-";
 
@@ -228,9 +228,9 @@ static double seconds(void) {
   return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 
-static void make(fmu_t fmu, const call_t *c) {
+static void check_call(fmu_t fmu, const call_t *c) {
   called = c->name, lines = 0;
-  watch();
+  start_timer();
   const double began = seconds();
   const int status = c->call(fmu);
   const double lasted = seconds() - began;
@@ -238,7 +238,7 @@ static void make(fmu_t fmu, const call_t *c) {
   if (status < 0 || status > 3) fail("a status that is none of OK, Warning, Discard, Error");
   if (status && fmu && logging && !lines) fail("refused without a log line");
   if (!fmu && !status) fail("OK without an instance");
-  made++, granted += !status;
+  calls_made++, accepted += !status;
 }
 
 static const call_t *pick_call(void) {
@@ -250,8 +250,8 @@ static const call_t *pick_call(void) {
   return c;
 }
 
-/* Step a started instance here and there; its values after that. */
-static void move(fmu_t fmu, double *found) {
+/* Makes a few steps of a started instance and reads its values. */
+static void step_and_read(fmu_t fmu, double *found) {
   static const double size[] = {0.01, 0.2, 0.0007, 0.4};
   double t = 0.0;
   for (int k = 0; k < 4; t += size[k++])
@@ -264,7 +264,7 @@ static void compare_after_reset(fmu_t fmu, const double *expected) {
   called = "after a reset";
   if (reset(fmu)) fail("no reset");
   if (begin(fmu)) fail("no start");
-  move(fmu, found);
+  step_and_read(fmu, found);
   if (memcmp(found, expected, model.n_values * sizeof *found))
     fail("other numbers than a fresh instance");
 }
@@ -275,15 +275,15 @@ static void run_sequence(const double *expected) {
   if (!fmu) fail("no instance");
   time_now = 0.0, logging = 1;
   if (!one_in(4)) start_any(fmu, stepping);
-  for (int k = 0; k < length; k++) make(one_in(400) ? NULL : fmu, pick_call());
-  forget_states(fmu);
-  if (stepping && plain) compare_after_reset(fmu, expected);
+  for (int k = 0; k < length; k++) check_call(one_in(400) ? NULL : fmu, pick_call());
+  free_states(fmu);
+  if (stepping && never_early) compare_after_reset(fmu, expected);
   release(fmu);
 }
 
 /* --- state bytes ------------------------------------------------------------------------------ */
 
-/* Damage a copy of `bytes` in one of many ways; returns its length. */
+/* Damages a copy of `bytes` in one of several ways; returns its length. */
 static size_t damage(unsigned char *copy) {
   size_t n = n_bytes;
   const size_t at = below((unsigned)n), span = 1 + below(64);
@@ -314,11 +314,11 @@ static size_t damage(unsigned char *copy) {
 static void run_blob(fmu_t fmu) {
   unsigned char *given = malloc(n_bytes + 64);
   const size_t n = damage(given);
-  unsigned char *exact = malloc(n ? n : 1); /* so that a read beyond the end is seen */
+  unsigned char *exact = malloc(n ? n : 1); /* AddressSanitizer finds reads beyond its end */
   memcpy(exact, given, n);
   const int same = n == n_bytes && !memcmp(given, bytes, n);
   lines = 0, called = "reading damaged state bytes";
-  watch();
+  start_timer();
   const int status = read_bytes(fmu, exact, n);
   if (same != !status) fail(same ? "good bytes refused" : "damaged bytes taken for a state");
   if (status && !lines) fail("refused without a log line");
@@ -341,7 +341,7 @@ static void run_blobs(const model_t *m, long count) {
     if (write_bytes(fmu) || memcmp(before, bytes, n_bytes)) fail("the instance has changed");
     free(before);
   }
-  forget_states(fmu);
+  free_states(fmu);
   release(fmu);
 }
 
@@ -356,12 +356,12 @@ int main(int count, char **argument) {
   called = "at the start";
   fmu_t fresh = create(model.token, 1);
   if (!fresh || begin(fresh)) fail("the FMU does not start");
-  study(fresh);
-  move(fresh, expected);
+  find_sizes(fresh);
+  step_and_read(fresh, expected);
   release(fresh);
   for (long k = strtol(argument[1], NULL, 10); k > 0; k--) run_sequence(expected);
   run_blobs(&model, strtol(argument[2], NULL, 10));
   free(bytes);
-  printf("%ld %ld %.4f %s\n", made, granted, slowest, slowest_name);
+  printf("%ld %ld %.4f %s\n", calls_made, accepted, slowest, slowest_name);
   return 0;
 }

@@ -1,9 +1,9 @@
 /* The calls of FMI 2 with random arguments. */
 
 static fmu_t create_any(int stepping) {
-  plain = 1;
-  return fmi2Instantiate("one", stepping ? fmi2CoSimulation : fmi2ModelExchange, model.token, resources("file://"),
-                         &callbacks, fmi2False, fmi2True);
+  never_early = 1;
+  return fmi2Instantiate("one", stepping ? fmi2CoSimulation : fmi2ModelExchange, model.token,
+                         resources("file://"), &callbacks, fmi2False, fmi2True);
 }
 
 static void start_any(fmu_t fmu, int stepping) {
@@ -14,8 +14,8 @@ static void start_any(fmu_t fmu, int stepping) {
   if (!one_in(4)) fmi2EnterContinuousTimeMode(fmu);
 }
 
-/* Find out what a model description would say: the number of states. */
-static void study(fmu_t fmu) {
+/* Finds the number of states, which an importer would read in the model description. */
+static void find_sizes(fmu_t fmu) {
   logging = 0;
   while (++n_states < MOST_VALUES && fmi2GetNominalsOfContinuousStates(fmu, value, n_states))
     continue;
@@ -42,25 +42,25 @@ static int setup(fmu_t fmu) {
 static int enter_initialization(fmu_t fmu) { return fmi2EnterInitializationMode(fmu); }
 
 static int get_real(fmu_t fmu) {
-  const size_t n = pick();
+  const size_t n = pick_references();
   const int status = fmi2GetReal(fmu, one_in(90) ? NULL : reference, n, value);
   if (!status && !finite_values(n)) fail("a value that is not finite, with status OK");
   return status;
 }
 
 static int set_real(fmu_t fmu) {
-  const size_t n = pick();
-  fill();
+  const size_t n = pick_references();
+  fill_values();
   const int status = fmi2SetReal(fmu, reference, n, one_in(90) ? NULL : value);
   if (!status && !finite_values(n)) fail("a value that is not finite was taken");
   return status;
 }
 
-static int others(fmu_t fmu) {
+static int other_types(fmu_t fmu) {
   const size_t n = below(2);
   fmi2Integer integer[4] = {0};
   fmi2String text[4] = {"", "", "", ""};
-  pick();
+  pick_references();
   switch (below(6)) {
     case 0: return fmi2GetInteger(fmu, reference, n, integer);
     case 1: return fmi2SetInteger(fmu, reference, n, integer);
@@ -81,24 +81,24 @@ static int do_step(fmu_t fmu) {
 
 static int set_input_derivatives(fmu_t fmu) {
   const fmi2Integer order[4] = {1, 1, one_in(5) ? 2 : 1, one_in(9) ? 0 : 1};
-  const size_t n = pick();
-  fill();
+  const size_t n = pick_references();
+  fill_values();
   return fmi2SetRealInputDerivatives(fmu, reference, n, order, value);
 }
 
 static int get_output_derivatives(fmu_t fmu) {
   const fmi2Integer order[4] = {1, 1, 1, 1};
-  return fmi2GetRealOutputDerivatives(fmu, reference, pick(), order, value);
+  return fmi2GetRealOutputDerivatives(fmu, reference, pick_references(), order, value);
 }
 
 static int directional(fmu_t fmu) {
   unsigned known[4];
   double product[4];
-  const size_t n = pick();
+  const size_t n = pick_references();
   memcpy(known, reference, sizeof known);
-  fill();
-  return fmi2GetDirectionalDerivative(fmu, reference, pick(), known, n, one_in(90) ? NULL : value,
-                                      product);
+  fill_values();
+  return fmi2GetDirectionalDerivative(fmu, reference, pick_references(), known, n,
+                                      one_in(90) ? NULL : value, product);
 }
 
 static int set_state(fmu_t fmu) {
@@ -112,7 +112,7 @@ static int new_discrete_states(fmu_t fmu) {
   return fmi2NewDiscreteStates(fmu, one_in(50) ? NULL : &info);
 }
 
-static int get_states(fmu_t fmu) { return fmi2GetContinuousStates(fmu, value, of_states()); }
+static int get_states(fmu_t fmu) { return fmi2GetContinuousStates(fmu, value, states_count()); }
 
 static int get_indicators(fmu_t fmu) { return fmi2GetEventIndicators(fmu, value, below(2)); }
 
@@ -141,7 +141,7 @@ static const call_t calls[] = {{"fmi2Instantiate", 1, instantiate},
                                {"fmi2Reset", 1, reset_any},
                                {"fmi2GetReal", 4, get_real},
                                {"fmi2SetReal", 6, set_real},
-                               {"values of other types", 1, others},
+                               {"values of other types", 1, other_types},
                                {"fmi2DoStep", 9, do_step},
                                {"fmi2SetRealInputDerivatives", 2, set_input_derivatives},
                                {"fmi2GetRealOutputDerivatives", 1, get_output_derivatives},

@@ -1,9 +1,10 @@
 /* The calls of FMI 3 with random arguments. */
 
-/* An intermediate update: reads, tries what is not allowed there, asks to be back early. */
-static void updated(fmi3InstanceEnvironment environment, fmi3Float64 time, fmi3Boolean set,
-                    fmi3Boolean can_get, fmi3Boolean finished, fmi3Boolean can_return,
-                    fmi3Boolean *wants, fmi3Float64 *when) {
+/* Reads a value, tries calls that are not allowed in a step, and may ask for an early return. */
+static void intermediate_update(fmi3InstanceEnvironment environment, fmi3Float64 time,
+                                fmi3Boolean set, fmi3Boolean can_get, fmi3Boolean finished,
+                                fmi3Boolean can_return, fmi3Boolean *early_return,
+                                fmi3Float64 *return_time) {
   double read;
   fmi3Boolean a, b, c;
   (void)environment, (void)set, (void)finished;
@@ -12,18 +13,18 @@ static void updated(fmi3InstanceEnvironment environment, fmi3Float64 time, fmi3B
   if (inside && one_in(9) && !fmi3DoStep(inside, time, 0.1, fmi3True, &a, &b, &c, &read))
     fail("a step inside of a step");
   if (inside && one_in(9) && !fmi3Reset(inside)) fail("a reset inside of a step");
-  *wants = can_return && one_in(2), *when = time;
+  *early_return = can_return && one_in(2), *return_time = time;
 }
 
 static fmu_t create_any(int stepping) {
   if (!stepping)
-    return fmi3InstantiateModelExchange("one", model.token, resources(""), fmi3False, fmi3True, NULL,
-                                        log_line);
+    return fmi3InstantiateModelExchange("one", model.token, resources(""), fmi3False, fmi3True,
+                                        NULL, log_line);
   const fmi3Boolean events = one_in(2), early = one_in(2);
-  plain = !events && !early;
-  return inside =
-             fmi3InstantiateCoSimulation("one", model.token, resources(""), fmi3False, fmi3True, events, early,
-                                         NULL, 0, NULL, log_line, one_in(2) ? updated : NULL);
+  never_early = !events && !early;
+  return inside = fmi3InstantiateCoSimulation("one", model.token, resources(""), fmi3False,
+                                              fmi3True, events, early, NULL, 0, NULL, log_line,
+                                              one_in(2) ? intermediate_update : NULL);
 }
 
 static void start_any(fmu_t fmu, int stepping) {
@@ -32,12 +33,12 @@ static void start_any(fmu_t fmu, int stepping) {
   else if (!one_in(4)) fmi3EnterContinuousTimeMode(fmu);
 }
 
-static unsigned char *sizes; /* of variables, by reference; 0: there is none */
+static unsigned char *sizes; /* sizes[reference] of its variable; 0: there is none */
 
-/* Find out what a model description would say: the number of states, the sizes of variables. */
-static void study(fmu_t fmu) {
-  fmu_t other =
-      fmi3InstantiateModelExchange("one", model.token, resources(""), fmi3False, fmi3False, NULL, log_line);
+/* Finds the number of states and the sizes of variables, as in the model description. */
+static void find_sizes(fmu_t fmu) {
+  fmu_t other = fmi3InstantiateModelExchange("one", model.token, resources(""), fmi3False,
+                                             fmi3False, NULL, log_line);
   if (!other || fmi3GetNumberOfContinuousStates(other, &n_states)) fail("no number of states");
   release(other);
   sizes = calloc(greatest + 1, 1);
@@ -46,9 +47,9 @@ static void study(fmu_t fmu) {
       if (!fmi3GetFloat64(fmu, &r, 1, value, n)) sizes[r] = n;
 }
 
-/* References and how many values they hold, wrong now and then. */
+/* Chooses references; *n: how many values their variables have, a wrong number now and then. */
 static size_t pick_values(size_t *n) {
-  const size_t count = pick();
+  const size_t count = pick_references();
   *n = one_in(15);
   for (size_t k = 0; k < count; k++) *n += reference[k] <= greatest ? sizes[reference[k]] : 1;
   return count;
@@ -89,13 +90,13 @@ static int get_float(fmu_t fmu) {
 static int set_float(fmu_t fmu) {
   size_t n;
   const size_t count = pick_values(&n);
-  fill();
+  fill_values();
   const int status = fmi3SetFloat64(fmu, reference, count, one_in(90) ? NULL : value, n);
   if (!status && !finite_values(n)) fail("a value that is not finite was taken");
   return status;
 }
 
-static int others(fmu_t fmu) {
+static int other_types(fmu_t fmu) {
   static fmi3Int32 integer[64];
   static fmi3Boolean boolean[64];
   static fmi3String text[64];
@@ -103,7 +104,7 @@ static int others(fmu_t fmu) {
   static fmi3Binary binary[64];
   static fmi3Clock clock_value[64];
   const size_t n = below(2);
-  pick();
+  pick_references();
   switch (below(8)) {
     case 0: return fmi3GetInt32(fmu, reference, n, integer, n);
     case 1: return fmi3SetInt32(fmu, reference, n, integer, n);
@@ -132,7 +133,7 @@ static int do_step(fmu_t fmu) {
 
 static int get_output_derivatives(fmu_t fmu) {
   const fmi3Int32 order[4] = {1, 1, 1, 1};
-  return fmi3GetOutputDerivatives(fmu, reference, pick(), order, value, below(5));
+  return fmi3GetOutputDerivatives(fmu, reference, pick_references(), order, value, below(5));
 }
 
 static int derivatives(fmu_t fmu) {
@@ -142,7 +143,7 @@ static int derivatives(fmu_t fmu) {
   const size_t n_known = pick_values(&n);
   memcpy(known, reference, sizeof known);
   const size_t n_unknown = pick_values(&m);
-  fill();
+  fill_values();
   if (one_in(2))
     return fmi3GetDirectionalDerivative(fmu, reference, n_unknown, known, n_known, value, n,
                                         product, m);
@@ -168,8 +169,8 @@ static int enter_step(fmu_t fmu) { return fmi3EnterStepMode(fmu); }
 static int get_states(fmu_t fmu) {
   size_t n;
   if (one_in(3)) return fmi3GetNumberOfContinuousStates(fmu, one_in(9) ? NULL : &n);
-  if (one_in(3)) return fmi3GetNominalsOfContinuousStates(fmu, value, of_states());
-  return fmi3GetContinuousStates(fmu, value, of_states());
+  if (one_in(3)) return fmi3GetNominalsOfContinuousStates(fmu, value, states_count());
+  return fmi3GetContinuousStates(fmu, value, states_count());
 }
 
 static int get_indicators(fmu_t fmu) {
@@ -192,7 +193,7 @@ static const call_t calls[] = {{"fmi3Instantiate", 1, instantiate},
                                {"fmi3Reset", 1, reset_any},
                                {"fmi3GetFloat64", 6, get_float},
                                {"fmi3SetFloat64", 8, set_float},
-                               {"values of other types", 1, others},
+                               {"values of other types", 1, other_types},
                                {"fmi3DoStep", 9, do_step},
                                {"fmi3GetOutputDerivatives", 1, get_output_derivatives},
                                {"derivatives", 5, derivatives},

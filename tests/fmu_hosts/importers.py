@@ -1,7 +1,7 @@
-"""Importers of FMUs: functions that step or integrate an FMU and return values of its variables.
+"""Importers of FMUs: each steps or integrates a file and gives values of variables.
 
-A function takes an unpacked FMU, names of variables, a step and a number of steps, and returns the
-values after each step, (count, n_names). It raises `Unavailable` if its tool is missing.
+A function takes an unpacked FMU, names of variables, a step size and a number of steps, and gives
+the values after each step, (count, n_names). A tool that is missing raises `Unavailable`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NANOSECOND = 1e-9
 Names = Sequence[str]
 
 
-def _needed(module: str, package: str) -> Any:
+def _import(module: str, package: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -53,7 +53,7 @@ def _by_fmpy(file: Path, names: Names, step: float, count: int, **options: Any) 
 def off_plan(
     run: Callable[..., np.ndarray], fmu: Fmu, scene: cs.Scene, count: int, step: float = STEP
 ) -> float:
-    """Greatest difference of points and slip from the plan's, over their greatest values."""
+    """Greatest difference of points and slip from the plan's, over the greatest of each."""
     contacts, plan = range(len(scene.contacts)), cs.plan(scene, 1e-14)
     t, worst = np.minimum(step * np.arange(1, count + 1), scene.duration), 0.0
     wanted = {"slip": plan.slip(t)}
@@ -64,8 +64,8 @@ def off_plan(
     }
     found = run(fmu, sum(names.values(), []), step, count)
     for quantity, values in wanted.items():
-        own, found = np.split(found, [len(names[quantity])], axis=1)
-        off = np.abs(own - values.reshape(count, -1)).max()
+        columns, found = np.split(found, [len(names[quantity])], axis=1)
+        off = np.abs(columns - values.reshape(count, -1)).max()
         worst = max(worst, off / np.abs(values).max())
     return worst
 
@@ -79,8 +79,8 @@ def fmpy_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
 
 def ecos_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
     """On Debian ecos needs libtbb12."""
-    run = _needed("ecospy.EcosSimulation", "ecospy").EcosSimulation
-    structure = _needed("ecospy.EcosSimulationStructure", "ecospy").EcosSimulationStructure
+    run = _import("ecospy.EcosSimulation", "ecospy").EcosSimulation
+    structure = _import("ecospy.EcosSimulationStructure", "ecospy").EcosSimulationStructure
     with structure() as system:
         system.add_model("planner", fmu.path)
         with run(structure=system, step_size=step) as simulation:
@@ -95,9 +95,9 @@ def ecos_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
 
 def libcosim_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
     if fmu.version == "3.0":
-        # it says "Unsupported FMI version", and libcosimpy goes on with a null pointer
-        raise Unavailable("libcosim knows FMI 1 and FMI 2 alone")
-    part = lambda name: _needed(f"libcosimpy.{name}", "libcosimpy")  # noqa: E731
+        # libcosim reports "Unsupported FMI version", then libcosimpy uses a null pointer
+        raise Unavailable("libcosim takes FMI 1 and FMI 2 only")
+    part = lambda name: _import(f"libcosimpy.{name}", "libcosimpy")  # noqa: E731
     part("CosimLogging").log_output_level(part("CosimLogging").CosimLogLevel.ERROR)
     execution = part("CosimExecution").CosimExecution.from_step_size(round(step / NANOSECOND))
     index = execution.add_local_slave(part("CosimSlave").CosimLocalSlave(str(fmu.path), "planner"))
@@ -111,8 +111,8 @@ def libcosim_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarra
 
 
 def container_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
-    """In a container of fmu-manipulation-toolbox, of the same version, stepped by fmpy."""
-    assembly = _needed("fmu_manipulation_toolbox.assembly", "fmu-manipulation-toolbox")
+    """In a container FMU of fmu-manipulation-toolbox, of the same FMI version, by fmpy."""
+    assembly = _import("fmu_manipulation_toolbox.assembly", "fmu-manipulation-toolbox")
     node = assembly.AssemblyNode("container.fmu", step_size=step)
     node.add_fmu(fmu.path.name)
     with tempfile.TemporaryDirectory() as folder:
@@ -133,9 +133,9 @@ def fmuloader_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarr
 
 
 def _loaded(fmu: Fmu, interface: str) -> tuple[Any, Callable]:
-    """An instance in fmuloader, initialized, and its getter."""
+    """An initialized instance of fmuloader, and its function that reads values."""
     version, name = fmu.version[0], fmu.description.coSimulation.modelIdentifier
-    library = _needed(f"fmuloader.fmi{version}", "fmuloader")
+    library = _import(f"fmuloader.fmi{version}", "fmuloader")
     one = getattr(library, f"Fmi{version}Slave")(fmu.folder, model_identifier=name)
     if version == "2":
         kind = {"CoSimulation": "CO_SIMULATION", "ModelExchange": "MODEL_EXCHANGE"}[interface]
@@ -150,10 +150,10 @@ def _loaded(fmu: Fmu, interface: str) -> tuple[Any, Callable]:
 
 
 class _Wasm:
-    """The library for wasm32 in wasmtime; it finds the FMU's folder at its root."""
+    """The FMU's library for wasm32 in wasmtime, for which the FMU's folder is the root folder."""
 
     def __init__(self, fmu: Fmu):
-        w = _needed("wasmtime", "wasmtime")
+        w = _import("wasmtime", "wasmtime")
         config = w.Config()
         config.wasm_exceptions = True
         engine = w.Engine(config)
@@ -169,7 +169,7 @@ class _Wasm:
         return self.found[name](self.store, *arguments)
 
     def put(self, data: bytes) -> int:
-        """Its address."""
+        """Copy data into the library's memory; its address there."""
         at = self.call("malloc", len(data))
         self.found["memory"].write(self.store, data, at)
         return at
@@ -179,15 +179,15 @@ class _Wasm:
 
 
 def wasm_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
-    """By wasmtime, files of FMI 3 that hold a library for wasm32."""
+    """By wasmtime; the FMU is one of FMI 3 with a library for wasm32."""
     host, n, rows = _Wasm(fmu), len(names), []
     texts = (host.put(text.encode() + b"\0") for text in ("planner", fmu.token, "/resources/"))
     one = host.call("fmi3InstantiateCoSimulation", *texts, *(0,) * 9)
     assert host.call("fmi3EnterInitializationMode", one, 0, 0.0, 0.0, 0, 0.0) == 0
     assert host.call("fmi3ExitInitializationMode", one) == 0
     references = host.put(np.array(references_of(fmu, names), "<u4").tobytes())
-    told, values = host.put(bytes(32)), host.put(bytes(8 * n))
-    flags = (told, told + 4, told + 8, told + 16)
+    results, values = host.put(bytes(32)), host.put(bytes(8 * n))
+    flags = (results, results + 4, results + 8, results + 16)
     for k in range(count):
         assert host.call("fmi3DoStep", one, k * step, step, 1, *flags) == 0
         assert host.call("fmi3GetFloat64", one, references, n, values, n) == 0
@@ -210,7 +210,7 @@ def fmuloader_integrates(fmu: Fmu, names: Names, step: float, count: int) -> np.
     rates = one.get_derivatives if fmu.version == "2.0" else one.get_continuous_state_derivatives
 
     def update() -> float:
-        """When the next event is."""
+        """Update discrete states; the time of the next event."""
         if fmu.version == "2.0":
             found = one.new_discrete_states()
             one.enter_continuous_time_mode()
@@ -219,7 +219,7 @@ def fmuloader_integrates(fmu: Fmu, names: Names, step: float, count: int) -> np.
         one.enter_continuous_time_mode()
         return found.next_event_time if found.next_event_time_defined else np.inf
 
-    def moved(t: float, x: np.ndarray) -> np.ndarray:
+    def derivatives(t: float, x: np.ndarray) -> np.ndarray:
         one.set_time(t)
         one.set_continuous_states(list(x))
         return np.array(rates(n))
@@ -229,8 +229,8 @@ def fmuloader_integrates(fmu: Fmu, names: Names, step: float, count: int) -> np.
     for k in range(count):
         while t < (k + 1) * step:
             stop = min(event, (k + 1) * step)
-            x = solve_ivp(moved, (t, stop), x, "DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
-            moved(t := stop, x)
+            x = solve_ivp(derivatives, (t, stop), x, "DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
+            derivatives(t := stop, x)  # sets time and states
             if t == event:
                 one.enter_event_mode()
                 event = update()
@@ -239,7 +239,7 @@ def fmuloader_integrates(fmu: Fmu, names: Names, step: float, count: int) -> np.
 
 
 def casadi_function(fmu: Fmu, arguments: Names, result: str) -> tuple[ca.Function, ca.DaeBuilder]:
-    """CasADi's function of a model's "t", "x" and "u", of which the arguments are some."""
+    """CasADi's function from some of "t", "x" and "u" to a result, and its model builder."""
     builder = ca.DaeBuilder("fmu", str(fmu.folder), {"debug": False})
     return builder.create("f", [*arguments], [result]), builder
 

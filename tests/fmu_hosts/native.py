@@ -1,4 +1,4 @@
-"""Compiles the C programs of this folder against an FMU, for any machine, and runs them here.
+"""Compile the C programs of this folder against an FMU, for any platform, and run them here.
 
 `trajectory` and `endurance` are linked with the library inside the FMU; `fuzz` is compiled together
 with the sources inside the FMU, under AddressSanitizer and UndefinedBehaviorSanitizer.
@@ -53,12 +53,12 @@ def find_compiler() -> tuple[str, ...] | None:
 
 
 class Unavailable(Exception):
-    """Names a tool that is not on this machine."""
+    """A tool is not on this machine; the message says which."""
 
 
 @dataclass(frozen=True)
 class Fmu:
-    """An FMU and what was found in it."""
+    """An FMU: its file, the folder it was unpacked to, its description."""
 
     path: Path
     folder: Path
@@ -66,7 +66,7 @@ class Fmu:
 
     @classmethod
     def unpacked(cls, path: Path, folder: Path) -> Fmu:
-        """Unpack a file into a new folder."""
+        """The FMU of a file, unpacked into a new folder."""
         found = Path(fmpy.extract(str(path), str(folder)))
         return cls(Path(path), found, fmpy.read_model_description(str(found)))
 
@@ -105,21 +105,21 @@ class Fmu:
         )
         if log is not None:
 
-            def told(*words: Any) -> None:
-                status, category, text = words[-3:]  # FMI 2 says first which instance it is
+            def log_line(*arguments: Any) -> None:
+                status, category, text = arguments[-3:]  # in FMI 2 after environment and name
                 log(status, category.decode(), text.decode())
 
             if self.version == "2.0":
-                made.kept = fmi2CallbackFunctions(logger=fmi2CallbackLoggerTYPE(told))
+                made.kept = fmi2CallbackFunctions(logger=fmi2CallbackLoggerTYPE(log_line))
                 options = {"callbacks": made.kept, "loggingOn": True} | options
             else:
-                made.kept = fmi3LogMessageCallback(told)
+                made.kept = fmi3LogMessageCallback(log_line)
                 options = {"logMessage": made.kept, "loggingOn": True} | options
         made.instantiate(**options)
         return made
 
     def library(self, target: str) -> Path:
-        """The library inside for a platform."""
+        """Where the FMU's library for a platform is."""
         name = self.description.coSimulation.modelIdentifier
         return self.folder / library_place(name, target, self.version)
 
@@ -140,9 +140,9 @@ def size(variable: ModelVariable) -> int:
 
 
 def difference(variables: Sequence[ModelVariable], found: np.ndarray, wanted: np.ndarray) -> float:
-    """Greatest difference of two trajectories, of the size of the quantity, at least 1e-3.
+    """Greatest difference of two trajectories, over the greatest of the quantity or 1e-3.
 
-    Elements of a vector count as one quantity, in FMI 2 too: ``slip.x`` and ``slip.y``.
+    Elements of a vector are one quantity, also in FMI 2, where they are variables.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def difference(variables: Sequence[ModelVariable], found: np.ndarray, wanted: np
 
 
 class Program:
-    """A compiled program, and the command by which this machine runs it.
+    """A program of this folder, compiled for a target, that this machine can run.
 
     Raises
     ------
@@ -185,9 +185,9 @@ class Program:
             flags += ["-O0", *SANITIZERS, f"-I{fmu.folder / 'sources'}"]
         else:
             compiler = _compiler(self.target)
-            # Named without a folder, a library is looked for by its name when the program starts.
+            # given without a folder, so that the program looks for the library beside itself
             link.append(Path(shutil.copy(fmu.library(self.target), self.folder)).name)
-            # stripped as the library is: for other files ziglang builds its C library once more
+            # -s as the library was linked: otherwise ziglang builds its C library once more
             link += ["-s"] if windows else ["-Wl,-rpath,$ORIGIN"]
         compiled, objects = [*compiler, *flags], [f"{file.stem}.o" for file in sources]
         commands = [[*compiled, "-c", str(c), "-o", o] for c, o in zip(sources, objects)]
@@ -200,7 +200,7 @@ class Program:
         assert run.returncode == 0, f"{' '.join(command)}\n{run.stderr}"
 
     def run(self, *arguments: object, timeout: float = 600.0) -> str:
-        """The output of the program; AssertionError with its error output if it fails."""
+        """What the program prints; AssertionError with what it wrote to stderr if it fails."""
         command = [*self._runner, str(self._file), *map(str, arguments)]
         environment = os.environ | self._environment | {"FMU_FOLDER": str(self.fmu.folder)}
         run = subprocess.run(
@@ -226,7 +226,7 @@ def _compiler(target: str) -> tuple[str, ...]:
 
 
 def _runner(target: str) -> tuple[list[str], dict[str, str]]:
-    """Command before a program of a platform, and its environment."""
+    """The command that runs programs of a platform here, and its environment variables."""
     if target == native_platform():
         return [], {}
     if target == "x86_64-windows":

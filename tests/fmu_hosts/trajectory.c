@@ -1,12 +1,12 @@
 /* trajectory STEP COUNT TOKEN N_VALUES REFERENCE...
-   Steps an FMU and prints the values at every communication point, one line each. Where the C
-   library can, it traps operations that have no number as their result, as importers may. */
+   Steps an FMU and prints the values at every communication point, one line each. With glibc it
+   traps floating-point exceptions, as importers may: division by zero, invalid, overflow. */
 #define _GNU_SOURCE
 #include "fmu.h"
 
 #include <fenv.h>
 
-static void heard(int status, const char *category, const char *text) {
+static void on_log_line(int status, const char *category, const char *text) {
   fprintf(stderr, "%d %s: %s\n", status, category, text);
 }
 
@@ -27,12 +27,13 @@ int main(int count, char **argument) {
     for (size_t j = 0; j < m.n_values; j++) printf("%.17g ", value[j]);
     printf("\n");
   }
-  const unsigned none = 4294967295u; /* negative where long has 32 bits */
-  if (!get(fmu, &none, 1, value, 1)) stop("there is a value without a variable");
+  const unsigned none = 4294967295u; /* as a signed long of 32 bits it would be -1 */
+  if (!get(fmu, &none, 1, value, 1)) stop("a reference without a variable has a value");
   if (reset(fmu)) stop("no reset");
   release(fmu);
-  /* a solver may look where sigma is long negative, and is refused at most */
-  if (!(fmu = create(m.token, 0)) || begin(fmu) || look_at(fmu, 1e6)) stop("no Model Exchange");
+  /* solvers may evaluate at times after sigma has turned negative: refused or not, no trap */
+  if (!(fmu = create(m.token, 0)) || begin(fmu) || set_continuous_time(fmu, 1e6))
+    stop("no Model Exchange");
   get(fmu, m.reference, m.count, value, m.n_values);
   release(fmu);
   return 0;

@@ -1,4 +1,4 @@
-"""The paper's equations and charts once more, in heyoka's symbols and mpmath's, and their checks.
+"""The paper's equations and charts, written anew for heyoka and mpmath, and checks of solutions.
 
 For `make_references`, whose head says what is solved and how; nothing here imports the package.
 """
@@ -56,9 +56,9 @@ CHARTS = {"sphere": sphere_chart, "torus": torus_chart, "ellipsoid": ellipsoid_c
 
 
 def squares(surface: str, p: Sequence[Any], u: Any, v: Any) -> tuple[Any, Any]:
-    """E = f_u^2 and G = f_v^2 as heyoka expressions, by hand; the law of `slip` checks them.
+    """E = f_u^2 and G = f_v^2 as heyoka expressions, by hand; `slip_law_error` checks them.
 
-    The ellipsoid's are of Liouville's type, with l3 and l2 the confocal coordinates.
+    Those of the ellipsoid are of Liouville's type; l3 and l2 are the confocal coordinates.
     """
     su, cu, sv, cv = hy.sin(u), hy.cos(u), hy.sin(v), hy.cos(v)
     if surface == "sphere":
@@ -276,7 +276,7 @@ def contact_points(case: Case, state: Sequence[mp.mpf]) -> list[list[mp.mpf]]:
     return [x1, CHARTS[case.object](case.exact.radii, *state[4:6])]
 
 
-# Checks that do not come from the same equations.
+# Checks by other equations.
 
 
 def decay(case: Case, begin: float, end: float) -> mp.mpf:

@@ -1,4 +1,4 @@
-"""Shared by tests, references and benchmarks: closed forms by mpmath, geodesics, slip of states.
+"""Formulas for tests, references and benchmarks: closed forms by mpmath, geodesics, slip of states.
 
 SI units and radians; mpmath works to its own precision.
 """
@@ -22,7 +22,8 @@ def arc_length(coefficients: Sequence[float], t: Any) -> Any:
 
 
 def great_circle(radius: Any, at: Any, w: Any, s: Any) -> list[Any]:
-    """Point of a sphere at path s, from chart coordinates ``at`` along path velocity w."""
+    """Point of a sphere at s of the great circle that starts at coordinates ``at`` with x'(s) = w,
+    components in the contact frame."""
     (u, v), r, w = map(mp.mpf, at), mp.mpf(radius), [mp.mpf(x) for x in w]
     normal = [mp.sin(u) * mp.cos(v), mp.sin(u) * mp.sin(v), mp.cos(u)]
     x_axis = [mp.cos(u) * mp.cos(v), mp.cos(u) * mp.sin(v), -mp.sin(u)]
@@ -34,7 +35,7 @@ def great_circle(radius: Any, at: Any, w: Any, s: Any) -> list[Any]:
 
 
 def helix(radius: Any, at: Any, w: Any, s: Any) -> list[Any]:
-    """Point of the cylinder (r cos u, r sin u, v) at path s; arguments as in `great_circle`."""
+    """The same of a helix on the cylinder (r cos u, r sin u, v)."""
     r = mp.mpf(radius)
     u = mp.mpf(at[0]) + mp.mpf(w[0]) * mp.mpf(s) / r
     return [r * mp.cos(u), r * mp.sin(u), mp.mpf(at[1]) + mp.mpf(w[1]) * mp.mpf(s)]
