@@ -50,26 +50,6 @@ def test_twist_is_the_rate_of_the_pose(obj, finger, windows):
     assert_twist_is_the_rate_of_the_pose(plan, T, 1e-10)
 
 
-@pytest.mark.parametrize("obj", ["sphere", "bowl", "ellipsoid", "bumps"])
-def test_the_fingers_material_point_moves_by_minus_slip_relative_to_the_objects(obj):
-    scene, times = one_contact(obj), np.linspace(0.1, 0.9, 5)
-    plan = cs.plan(scene)
-    states = plan.states(times)
-    for k, t in enumerate(times):
-        x1, x2 = plan.points(t)[0, 0]
-
-        def material_point(time, x1=x1):
-            pose = plan.pose(time)[:, 0]
-            return pose[:, :3, :3] @ x1 + pose[:, :3, 3]
-
-        velocity = derivative(material_point, np.array([t]))[0]
-        assert material_point([t])[0] == pytest.approx(x2, abs=1e-13)
-        frame = scene.object.frame(*states[k, 0, 4:6])
-        expected = -frame[:, :2] @ plan.slip(t)[0, 0]
-        assert np.linalg.norm(expected) > 1e-3
-        assert velocity == pytest.approx(expected, abs=1e-10)
-
-
 # --- conforming bodies
 
 

@@ -160,15 +160,6 @@ def test_a_contact_on_the_second_cover_of_an_ellipsoid_keeps_its_motion(side):
     assert scene.replace(duration=3.0).contacts == scene.contacts
 
 
-def test_a_contact_with_an_inward_frame_is_read_as_the_same_point_with_the_outward_frame():
-    # (-1.57, 2.44), as the paper prints it, is (1.57, 2.44 + pi) up to whole turns.
-    scene = small_scene(contacts=[Contact(FINGER, (-1.57, 2.44))])
-    (contact,) = scene.contacts
-    assert contact.object_at == pytest.approx((1.57, 2.44 - pi))
-    by_hand = np.array([np.sin(-1.57) * np.cos(2.44), np.sin(-1.57) * np.sin(2.44), np.cos(-1.57)])
-    assert scene.object.point(*contact.object_at) == pytest.approx(0.1 * by_hand, abs=1e-16)
-
-
 def test_disturbances_that_replace_keeps_beside_new_contacts_are_not_turned_again():
     given = Contact(FINGER, (1.0, 1.9))  # on the second cover
     push = ObjectAcceleration(0, 0.2, 0.5, (1.0, 0.5))
