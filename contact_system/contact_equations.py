@@ -35,7 +35,7 @@ class Form(NamedTuple):
     """How the motion of one contact is written: with the surfaces, the key of its cached function.
 
     forced: whether W_1 and V are states. ambient: whether finger and object are moved in space.
-    growths: intervals on which sigma grows, where the gain law makes up for it.
+    growths: intervals on which sigma grows, if the gain law cancels growth.
     """
 
     coordinates: str

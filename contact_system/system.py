@@ -20,7 +20,7 @@ Two choices of coordinates describe the same motion:
 * "frame", moving frames (theory sections 4, 5): a point and a tangent (x, p) in space, or
   (u, v, theta) on a surface that has only a chart or whose chart decides the sign of a disturbance.
   Slip needs no state, as V e^{-L} is in closed form. W_1 and V are states only of a contact that
-  is accelerated, and of one with legs under a gain law that makes up for growth of sigma: such a
+  is accelerated, and of one with legs under a gain law that cancels growth of sigma: such a
   law removes slip at corners. The frames are chosen so that psi = -theta_1 - theta_2 and the map
   between them is diag(1, -1).
 
@@ -82,7 +82,7 @@ class SceneSystem:
         Times at which :meth:`window_values` changes, and corners, ascending, s.
     corners : frozenset of float
         Times at which x or held jump; :meth:`turned` gives them just after. A leg after the first
-        begins, or sigma = 0 sets a V that is a state to 0, under a law that makes up for growth.
+        begins, or sigma = 0 sets a V that is a state to 0, under a law that cancels growth.
     state_slices, held_slices : list of slice
         The parts of x and held that belong to each contact.
 
@@ -131,8 +131,8 @@ class SceneSystem:
     def _forms(self) -> list[Form]:
         scene, chart = self.scene, self.coordinates == "chart"
         growths: tuple[tuple[float, float], ...] = ()
-        law, makes_up = scene.gain.law, scene.gain.row.makes_up
-        if makes_up:  # integrators may go far beyond the horizon
+        law, cancels_growth = scene.gain.law, scene.gain.row.cancels_growth
+        if cancels_growth:  # integrators may go far beyond the horizon
             growths = tuple(scene.profile.growths(0.0, 1e3 * scene.duration))
         forms = []
         for i, contact in enumerate(scene.contacts):
@@ -140,7 +140,7 @@ class SceneSystem:
             d1, d2, offset = (self.disturbance_input or slot in slots for slot in range(len(SLOTS)))
             tip = not chart and in_space(contact.finger, d1)
             body = not chart and in_space(scene.object, d2 or offset)
-            forced = not chart and (d1 or d2 or (makes_up and bool(contact.legs)))
+            forced = not chart and (d1 or d2 or (cancels_growth and bool(contact.legs)))
             n_profile = max(len(stretch.profile.coefficients) for stretch in scene.way(i))
             grown = () if contact.legs else growths
             forms.append(Form(self.coordinates, forced, (tip, body), law, n_profile, grown))
@@ -148,7 +148,7 @@ class SceneSystem:
 
     def _rests(self, contact: int) -> set[float]:
         """Times > 0 at which sigma = 0, so that an infinite lam sets a V that is a state to 0."""
-        if not (self.forms[contact].forced and self.scene.gain.row.makes_up):
+        if not (self.forms[contact].forced and self.scene.gain.row.cancels_growth):
             return set()
         return {
             leg.start + zero
@@ -322,7 +322,7 @@ class SceneSystem:
         w1 = rotated(math.cos(start.angle), math.sin(start.angle), start.finger_velocity)
         if isinstance(start, Moment):
             return [*w1, *start.slip]
-        if self.scene.gain.row.makes_up and not sigma > 0:  # lam is infinite: no slip
+        if self.scene.gain.row.cancels_growth and not sigma > 0:  # lam is infinite: no slip
             return [*w1, 0.0, 0.0]
         point = np.array([[0, *w1, *start.object_velocity]]).T  # psi is 0 between frames
         return [*w1, *run(START, point, ())[-2:, 0].tolist()]
@@ -356,7 +356,7 @@ class SceneSystem:
                 if now.start != t or held[part][form.n_held] == t:
                     continue
                 w, u, *v = carried[4 * i : 4 * i + 4]
-                if self.scene.gain.row.makes_up and not now.profile.coefficients[0]:
+                if self.scene.gain.row.cancels_growth and not now.profile.coefficients[0]:
                     v = [0.0, 0.0]  # as in `place`
                 after = [*rotated(c, s, (w, u)), *v]
                 if form.forced:

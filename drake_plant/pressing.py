@@ -51,7 +51,7 @@ def check_depth(scene: Scene, config: StationConfig) -> None:
     depth = contact_depth(config)
     for i, contact in enumerate(scene.contacts):
         for body in (contact.finger, scene.object):
-            thin = body.c if isinstance(body, Ellipsoid) else body.bend
+            thin = body.c if isinstance(body, Ellipsoid) else body.least_radius
             if not depth < thin / 2:
                 raise SceneError(
                     f"stiffness = {config.stiffness!r}: contact {i} would be {depth:.3g} m deep at "

@@ -139,7 +139,7 @@ class _Contact:
             for v in own:
                 v.nominal = SMALL * surface.size if v.unit == METRE else SMALL
             rows += own
-        turns, stops = bool(self.contact.legs), LAWS[self.scene.gain.law].makes_up
+        turns, stops = bool(self.contact.legs), LAWS[self.scene.gain.law].cancels_growth
         moving = "Path velocity of the finger's contact point in its carried frame"
         slipping = "Slip over sigma in the object's carried frame"
         for name, jumps, text in (("velocity", turns, moving), ("slip", stops, slipping)):

@@ -68,7 +68,7 @@ class Failure(Structure):
 
     _fields_ = [
         *((name, c_int64) for name in ("code", "contact", "side", "panels", "by_length", "pushed")),
-        *((name, c_int64) for name in ("spent", "most", "greediest")),
+        *((name, c_int64) for name in ("tried", "most", "costliest")),
         *((name, c_double) for name in ("t", "end", "value", "u", "v")),
     ]
 
@@ -93,7 +93,7 @@ class Steered(Structure):
 
     _fields_ = [
         ("how", c_void_p),
-        *((name, c_double) for name in ("gauss", "bend")),
+        *((name, c_double) for name in ("gauss", "normal_curvature")),
         ("start", c_double * 9),
         *((name, c_double * 3) for name in ("place", "goal")),
         ("within", c_double * 4),
@@ -106,11 +106,11 @@ class Steer(Structure):
 
     _fields_ = [
         ("body", Steered * 2),
-        *((name, c_double) for name in ("psi", "lean", "pace", "unit")),
-        ("turn", c_double * 9),
+        *((name, c_double) for name in ("psi", "w_angle", "w_length", "unit")),
+        ("rotation", c_double * 9),
         ("origin", c_double * 3),
         *((name, c_double) for name in ("size", "longest", "tolerance", "reached")),
-        *((name, c_int64) for name in ("turns", "is_pose", "parts")),
+        *((name, c_int64) for name in ("has_rotation", "is_pose", "parts")),
     ]
 
 

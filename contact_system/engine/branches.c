@@ -139,10 +139,10 @@ static int comes_back(work_t *w, const track_t *k, mark_t a, mark_t c, int negat
       c = now;
     }
     const double s1 = (b.y - a.y) / (b.x - a.x), s2 = (c.y - b.y) / (c.x - b.x);
-    const double bend = (s2 - s1) / (c.x - a.x);
-    at = 0.5 * (a.x + b.x) - 0.5 * s1 / bend;
-    const double lowest = a.y + (at - a.x) * (s1 + bend * (at - b.x));
-    if (!(bend > 0.0) || lowest > 0.1 * fmax(a.y, c.y)) return 0;
+    const double curvature = (s2 - s1) / (c.x - a.x);
+    at = 0.5 * (a.x + b.x) - 0.5 * s1 / curvature;
+    const double lowest = a.y + (at - a.x) * (s1 + curvature * (at - b.x));
+    if (!(curvature > 0.0) || lowest > 0.1 * fmax(a.y, c.y)) return 0;
   }
   return 0;
 }

@@ -19,16 +19,17 @@ static void lay_circle(work_t *w, const double *state, track_t *k) {
   const body_t *b = k->body;
   double q[3];
   run_one(w, b->surface->tables[IN_SPACE][A_SECOND], b->numbers, state, q);
-  const double pace = hypot(k->w[0], k->w[1]);
+  const double length = hypot(k->w[0], k->w[1]);
   /* a contact point at rest has no direction; p will do */
-  k->lean[0] = pace > 0 ? k->w[0] / pace : 1.0, k->lean[1] = pace > 0 ? k->w[1] / pace : 0.0;
+  k->direction[0] = length > 0 ? k->w[0] / length : 1.0,
+  k->direction[1] = length > 0 ? k->w[1] / length : 0.0;
   for (int j = 0; j < 3; j++) {
     const double p = state[3 + j];
     k->at[j] = state[j];
-    k->along[j] = k->lean[0] * p + k->lean[1] * q[j];
-    k->across[j] = k->lean[0] * q[j] - k->lean[1] * p;
+    k->along[j] = k->direction[0] * p + k->direction[1] * q[j];
+    k->across[j] = k->direction[0] * q[j] - k->direction[1] * p;
   }
-  k->kind = CIRCLE, k->rate = pace / b->size;
+  k->kind = CIRCLE, k->rate = length / b->size;
   k->far = k->rate * length_at(k->drive, k->stop - k->drive->start) > FAR_PHASE;
 }
 
@@ -39,7 +40,7 @@ static void circle_at(const track_t *k, const double *phase, int rows, lanes_t s
   sincos_of(phase, s, c, L);
   for (int j = 0; j < 3; j++) {
     const double x = k->at[j], e = radius * k->along[j], back = k->at[j] / radius;
-    const double a0 = k->lean[0], off = k->lean[1] * k->across[j];
+    const double a0 = k->direction[0], off = k->direction[1] * k->across[j];
     EACH_LANE(i) state[j][i] = x * c[i] + e * s[i];
     if (rows == 3) continue;
     EACH_LANE(i) state[3 + j][i] = a0 * (k->along[j] * c[i] - back * s[i]) - off;

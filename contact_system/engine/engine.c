@@ -31,7 +31,7 @@ enum { STAGES = 12 };
 
 static void drop(plan_t *plan) {
   if (!plan) return;
-  if (plan->kept) end_work(plan->kept), free(plan->kept);
+  if (plan->work) end_work(plan->work), free(plan->work);
   for (block_t *b = plan->memory, *next; b; b = next) next = b->next, free(b);
   free(plan);
 }
@@ -55,9 +55,9 @@ static plan_t *make_plan(const double *scene, int64_t size, const surface_t *con
   plan->surfaces = surfaces;
   plan->contacts = keep(&w, (int64_t)scene[S_CONTACTS], sizeof(contact_t));
   for (; plan->n_contacts < (int64_t)scene[S_CONTACTS]; plan->n_contacts++) {
-    w.begun = w.spent;
+    w.begun = w.tried;
     plan_contact(&w, plan->n_contacts);
-    if (w.spent - w.begun > w.most) w.most = w.spent - w.begun, w.greediest = plan->n_contacts;
+    if (w.tried - w.begun > w.most) w.most = w.tried - w.begun, w.costliest = plan->n_contacts;
   }
   end_work(&w);
   return plan;
@@ -67,13 +67,13 @@ static plan_t *make_plan(const double *scene, int64_t size, const surface_t *con
    steps allocate nothing; else the caller's own */
 static work_t *enter(const plan_t *plan, work_t *own, failure_t *failure) {
   begin_work(own, (plan_t *)plan, failure);
-  if (!plan->kept) return own;
-  plan->kept->plan = own->plan, plan->kept->failure = failure;
-  return plan->kept;
+  if (!plan->work) return own;
+  plan->work->plan = own->plan, plan->work->failure = failure;
+  return plan->work;
 }
 
 static int leave(work_t *w) {
-  if (w != w->plan->kept) end_work(w);
+  if (w != w->plan->work) end_work(w);
   return (int)w->failure->code;
 }
 
@@ -102,8 +102,8 @@ static int evaluate(const plan_t *plan, int64_t n, const double *t, double *cons
 }
 
 static int evaluate_at(plan_t *plan, double t, double *const *out, failure_t *failure) {
-  if (!plan->kept) plan->kept = calloc(1, sizeof *plan->kept);
-  if (!plan->kept) return (int)(failure->code = NO_MEMORY);
+  if (!plan->work) plan->work = calloc(1, sizeof *plan->work);
+  if (!plan->work) return (int)(failure->code = NO_MEMORY);
   if ((out[STATES] || out[SLIP]) && anchor(plan, failure)) return (int)failure->code;
   return evaluate(plan, 1, &t, out, failure);
 }

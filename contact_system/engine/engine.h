@@ -31,7 +31,7 @@ typedef struct {
 enum { IN_CHART, IN_SPACE };
 enum { M_MOTION, M_COORDINATES, M_VECTOR, M_SHAPE, C_FRAME, C_POINT, C_LAME, N_TABLES };
 enum { A_SECOND = C_FRAME, A_RESTORE, A_START };
-/* the tables that only Python uses */
+/* tables that the engine runs only for its callers, by `run` and `geodesics` */
 enum { GEOMETRY, INVERSE, GEODESIC, N_OTHER };
 /* the tables of a contact, the same for all surfaces: theory/equations.py, `contact_functions` */
 enum { T_START, T_POSE, T_TWIST, T_TURNED, T_ACCELERATION, T_PUSHED, N_CONTACT_TABLES };
@@ -50,6 +50,9 @@ typedef struct {
 
 enum { SCENE_VERSION = 8 };
 
+/* a body: index of its surface; where its numbers stand; its size and its typical least radius of
+   curvature, m; how many sizes a panel may span */
+enum { B_SURFACE, B_NUMBERS, B_SIZE, B_LEAST_RADIUS, B_PANEL_LIMIT, BODY_SIZE };
 /* the header; contacts follow it, of CONTACT_SIZE numbers each */
 enum {
   S_CONTACTS,   /* how many */
@@ -57,15 +60,12 @@ enum {
   S_PANELS,     /* how many all contacts may take together */
   S_BEGIN,      /* s */
   S_END,        /* s */
-  S_GAIN,       /* lam = gain sigma^power, plus max(0, sigma'/sigma) if S_MAKES_UP is 1 */
+  S_GAIN,       /* lam = gain sigma^power, plus max(0, sigma'/sigma) if S_CANCELS_GROWTH is 1 */
   S_GAIN_POWER, /* an integer, at least 0 */
-  S_MAKES_UP,
+  S_CANCELS_GROWTH,
   S_OBJECT, /* the object, BODY_SIZE numbers */
-  S_HEADER = S_OBJECT + 5
+  S_HEADER = S_OBJECT + BODY_SIZE
 };
-/* a body: index of its surface; where its numbers stand; its size and its typical least radius of
-   curvature, m; how many sizes a panel may span */
-enum { B_SURFACE, B_NUMBERS, B_LENGTH, B_BEND, B_REACH, BODY_SIZE };
 /* a disturbance window, and what it adds, in chart components, to the acceleration of the finger
    (slot 0) or object (1), or to the object's rates (2) */
 enum { W_SLOT, W_START, W_STOP, W_VALUE, WINDOW_SIZE = W_VALUE + 2 };
@@ -79,10 +79,10 @@ enum {
 };
 /* a contact */
 enum {
-  K_FINGER,                /* BODY_SIZE numbers */
-  K_MOMENT = K_FINGER + 5, /* 0: it starts as a scene says; 1: it restarts from a moment, below */
-  K_FOLLOWS,               /* 1: rolling is imposed, and the finger's curve is developed too */
-  K_WINDOWS,               /* where its windows stand, and how many */
+  K_FINGER,                        /* BODY_SIZE numbers */
+  K_MOMENT = K_FINGER + BODY_SIZE, /* 0: starts as a scene says; 1: restarts from a moment */
+  K_FOLLOWS, /* 1: rolling is imposed, and the finger's curve is developed too */
+  K_WINDOWS, /* where its windows stand, and how many */
   K_WINDOWS_SIZE,
   K_LEGS, /* where its legs stand, and how many */
   K_LEGS_SIZE,
@@ -125,7 +125,7 @@ enum {
 
 typedef struct {
   int64_t code, contact, side, panels, by_length, pushed;
-  int64_t spent, most, greediest; /* panels tried: in all, the most by one contact; its index */
+  int64_t tried, most, costliest; /* panels tried: in all, the most by one contact; that contact */
   double t, end, value, u, v;     /* value: sigma; if TOO_LONG, sizes of path, more than `end` */
 } failure_t;
 
@@ -164,26 +164,26 @@ typedef struct {
 
 /* one body of a contact that is steered to a goal */
 typedef struct {
-  const geodesic_t *how;     /* NULL: a sphere about the origin or a plane, */
-  double gauss, bend;        /* with this Gaussian and normal curvature, 1/m^2 and 1/m */
-  double start[9], place[3]; /* x p q, the contact frame; u v theta */
-  double goal[3];            /* the contact point, if it is `wanted` */
+  const geodesic_t *how;          /* NULL: a sphere about the origin or a plane, */
+  double gauss, normal_curvature; /* with this Gaussian and normal curvature, 1/m^2 and 1/m */
+  double start[9], place[3];      /* x p q, the contact frame; u v theta */
+  double goal[3];                 /* the contact point, if it is `wanted` */
   double within[4]; /* centre and radius of a ball that the path must not leave; radius 0: none */
   int64_t wanted;
 } steered_t;
 
 /* start and goal of a contact that is steered: see steer.c */
 typedef struct {
-  steered_t body[2]; /* finger and object */
-  double psi;        /* at the start */
-  double lean, pace; /* the path velocity's angle, from which directions count, and length */
-  double unit;       /* the most by which a step changes a leg's length, along s */
-  double turn[9], origin[3]; /* the finger's pose at the goal */
+  steered_t body[2];        /* finger and object */
+  double psi;               /* at the start */
+  double w_angle, w_length; /* the path velocity's angle, from which directions count, and length */
+  double unit;              /* the most by which a step changes a leg's length, along s */
+  double rotation[9], origin[3]; /* the finger's pose at the goal */
   double size;               /* unit of the errors of places and origin; that of angles is 1 rad */
   double longest;            /* length of a leg that is allowed, along s; 0: any */
   double tolerance, reached; /* of the geodesics; error at which the goal is met, in sizes */
-  int64_t turns, is_pose;    /* whether the goal has a rotation, and an origin too */
-  int64_t parts;             /* of each leg, at whose ends `within` is checked */
+  int64_t has_rotation, is_pose; /* whether the goal has a rotation, and an origin too */
+  int64_t parts;                 /* of each leg, at whose ends `within` is checked */
 } steer_t;
 
 typedef struct {

@@ -12,14 +12,14 @@ static const double STEEPEST = 20.0; /* most that ln(decay) falls in a panel; 30
 /* The same in a first panel at a tolerance of 1e-12; without it fast slip takes 4 to 8 % longer. */
 static const double FALL = 4.5;
 enum { SWEEPS = 40 };
-enum { MANY = 4096 }; /* panels between two estimates of how many more it will take */
+enum { ESTIMATE_EVERY = 4096 }; /* panels between two estimates of how many more it will take */
 
 /* What is integrated: the state of a track's body, then under accelerations W_1 (of the finger) or
    V (of the object); or int sigma decay, if the track has no body. */
 typedef struct {
   track_t *track;
   int64_t n;
-  double length, first, reach;    /* of the first panel at a tolerance of 1e-12; see B_REACH */
+  double length, first, panel_limit; /* first: of a first panel at a tolerance of 1e-12 */
   double tolerance, slip, finish; /* slip: |V| at the start; it ends where slip decay <= finish */
   double state[MAX_STATES], scale[MAX_STATES]; /* errors are measured in 1/scale */
   /* what `rates` reads */
@@ -356,7 +356,7 @@ static int may_jump(const motion_t *m) {
   const track_t *k = m->track;
   if (!k->body) return 0;
   if (m->finger && m->finger->ambient && any(m->finger->push)) return 1;
-  return k->body->reach < HUGE_VAL || (k->ambient && (any(k->offset) || any(k->push)));
+  return k->body->panel_limit < HUGE_VAL || (k->ambient && (any(k->offset) || any(k->push)));
 }
 
 /* Whether a panel's series fall as slowly as 1/k^2 or 1/k^3, since rates or their slopes jump
@@ -405,7 +405,7 @@ static double rounding(const motion_t *m, const nodes_t *at, double half, double
   if (!(m->slip > 0) || m->pushed) return 0.0;
   for (int64_t k = d->n_exponent - 1; k >= 0; k--) terms = terms * after + fabs(d->exponent[k]);
   for (int i = 0; i < L; i++) most = fmax(most, at->sigma[i] * at->decay[i]);
-  const double scale = b ? 1.0 / b->bend : m->scale[0];
+  const double scale = b ? 1.0 / b->least_radius : m->scale[0];
   return 2e-16 * fmax(terms - exponent_at(d, after), 0.0) * m->slip * half * most * scale;
 }
 
@@ -425,7 +425,7 @@ static int judge_panel(motion_t *m, step_t *s, double after, double error, doubl
   }
   double far = 1e-30; /* sizes that the panel spans */
   for (int64_t r = 0; r < m->n; r++) far = fmax(far, fabs(end[r] - m->state[r]) * m->scale[r]);
-  s->h = span * fmin(fmin(ratio, 2.0), m->reach / far);
+  s->h = span * fmin(fmin(ratio, 2.0), m->panel_limit / far);
   s->tau = after;
   memcpy(m->state, end, (size_t)m->n * sizeof *end);
   return 1;
@@ -465,9 +465,9 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   failure_t *e = w->failure;
   const double start = k->by_length ? 0.0 : k->drive->start;
   e->t = start + s->tau, e->end = start + m->length, e->panels = count;
-  const int this = w->spent - w->begun > w->most;
-  e->spent = w->spent, e->most = this ? w->spent - w->begun : w->most;
-  e->greediest = this ? e->contact : w->greediest;
+  const int this = w->tried - w->begun > w->most;
+  e->tried = w->tried, e->most = this ? w->tried - w->begun : w->most;
+  e->costliest = this ? e->contact : w->costliest;
   e->by_length = k->by_length, e->pushed = m->pushed;
   e->value = k->by_length ? 1.0 : sigma_at(k->drive, s->tau);
   if (k->body) {
@@ -486,10 +486,10 @@ static void require_progress(work_t *w, const motion_t *m, const step_t *s, int6
                              int64_t tries, double *mark) {
   /* at tau = 0 any h is allowed: a boundary layer may be arbitrarily thin */
   if (tries > 40 * (count + 25) || !(s->h > 1e-15 * s->tau)) fail_motion(w, m, s, STUCK, count);
-  const double left = w->plan->scene[S_PANELS] - (double)w->spent;
+  const double left = w->plan->scene[S_PANELS] - (double)w->tried;
   int endless = left < 0;
-  if (count && count % MANY == 0 && s->tau > *mark) {
-    endless |= MANY * (m->length - s->tau) > left * (s->tau - *mark);
+  if (count && count % ESTIMATE_EVERY == 0 && s->tau > *mark) {
+    endless |= ESTIMATE_EVERY * (m->length - s->tau) > left * (s->tau - *mark);
     *mark = s->tau;
   }
   if (endless) fail_motion(w, m, s, TOO_MANY_PANELS, count);
@@ -507,7 +507,7 @@ static panels_t integrate(work_t *w, motion_t *m, double tolerance) {
   double mark = 0.0;
   room_for(w, &w->edges, 8)[0] = 0.0;
   for (int64_t tries = 1; s.tau < m->length; tries++) {
-    w->spent++;
+    w->tried++;
     require_progress(w, m, &s, (int64_t)count, tries, &mark);
     double *series = room_for(w, &w->series, (count + 8) * size);
     double *edges = room_for(w, &w->edges, count + 2);

@@ -44,7 +44,7 @@ static const drive_t *drive_on(work_t *w, const double *leg, double start, doubl
   for (int64_t i = 0; i < n; i++) sigma[i] = shifted[i].high + shifted[i].low;
   *d = (drive_t){.leg = leg, .start = start, .stop = stop, .sigma = sigma, .length = length};
   d->n_sigma = n;
-  if (scene[S_MAKES_UP] > 0) {
+  if (scene[S_CANCELS_GROWTH] > 0) {
     /* where sigma touches zero its rounded first coefficient must not set the ratio's scale */
     sigma[0] = clear_value(c, n, from, sigma[0]);
     d->grows = slope_of(c, n, 0.5 * (from + to)) > 0;
@@ -80,7 +80,7 @@ static int64_t knots_of(work_t *w, const double *row, double **out) {
   const double *legs = scene + (int64_t)row[K_LEGS];
   const double begin = scene[S_BEGIN], end = scene[S_END];
   const int64_t n = (int64_t)row[K_WINDOWS_SIZE], n_legs = (int64_t)row[K_LEGS_SIZE];
-  const int cut = scene[S_MAKES_UP] > 0; /* the law changes its form at extrema of sigma */
+  const int cut = scene[S_CANCELS_GROWTH] > 0; /* the law changes its form at extrema of sigma */
   int64_t room = 2 + 2 * n + n_legs, count = 0;
   for (int64_t k = 0; k < n_legs && cut; k++)
     room += 2 * (int64_t)legs[k * LEG_SIZE + G_PROFILE_SIZE];

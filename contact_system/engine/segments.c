@@ -76,7 +76,7 @@ static motion_t add_motion(course_t *c, int side, const drive_t *d, int reason, 
   const body_t *b = &c->contact->body[side];
   const int by_branch = b->surface->double_cover && (any(push) || any(offset));
   const int ambient = moves_in_space(b->surface) && !by_branch;
-  motion_t m = {.n = state_size(ambient), .r0 = c->contact->r0, .reach = b->reach};
+  motion_t m = {.n = state_size(ambient), .r0 = c->contact->r0, .panel_limit = b->panel_limit};
   in_form(c, side, ambient, m.state);
   scales(c->w, ambient, b, m.state, m.scale);
   m.track = add_track(c, side, d, d->stop, reason), m.length = d->stop - d->start;
@@ -102,7 +102,7 @@ static int reason_of(const course_t *c, const double *offset) {
   return any(c->v) ? SLIPS : NO_SLIP;
 }
 
-static double first_length(const body_t *b) { return FIRST * sqrt(b->bend * b->size); }
+static double first_length(const body_t *b) { return FIRST * sqrt(b->least_radius * b->size); }
 
 /* ---- geodesics ---- */
 
@@ -128,14 +128,14 @@ static void add_geodesic(course_t *c, int side, const drive_t *drive, double sto
 
 /* ---- slip and rate offsets ---- */
 
-/* Length of a first panel, s: about the time in which a path that may slip grows by `reach` */
+/* Length of a first panel, s: about the time in which a path that may slip grows by `growth` */
 static double first_panel(const drive_t *d, double span, const body_t *b) {
-  const double reach = 0.4 * first_length(b);
-  double first = span * fmin(1.0, reach / fmax(length_at(d, span), 1e-300));
+  const double growth = 0.4 * first_length(b);
+  double first = span * fmin(1.0, growth / fmax(length_at(d, span), 1e-300));
   for (int k = 0; k < 20; k++) { /* sigma may grow a lot; without this K2 takes 3 % longer */
     if (first == span) return 4.0 * span; /* at any tolerance */
     const double longer = fmin(1.5 * first, span);
-    if (length_at(d, longer) > reach) break;
+    if (length_at(d, longer) > growth) break;
     first = longer;
   }
   return first;
@@ -145,7 +145,7 @@ static double first_panel(const drive_t *d, double span, const body_t *b) {
 static panels_t slip_length(course_t *c, const drive_t *d) {
   track_t bodiless = {.drive = d};
   motion_t m = {.n = 1, .track = &bodiless, .length = d->stop - d->start};
-  m.first = 4.0 * m.length, m.slip = 1.0, m.reach = HUGE_VAL;
+  m.first = 4.0 * m.length, m.slip = 1.0, m.panel_limit = HUGE_VAL;
   m.scale[0] = d->per_metre; /* the inverse of the most that g may be */
   return integrate(c->w, &m, 1e-15);
 }
@@ -221,7 +221,7 @@ static motion_t pushed_motion(course_t *c, int side, const segment_t *s, const d
 }
 
 /* About the time constant of slip, s: 1/lam at the start or the end, where lam is less. Where sigma
-   is zero, lam is left out, as a law that makes up for growth is infinite there. */
+   is zero, lam is left out, as a law that cancels growth is infinite there. */
 static double time_constant(const drive_t *d) {
   const double ends[2] = {0.0, d->stop - d->start};
   double lam = HUGE_VAL;
@@ -286,9 +286,9 @@ static void refuse_endless(course_t *c) {
 static body_t body_of(const plan_t *plan, const double *row, int side) {
   return (body_t){plan->surfaces[(int64_t)row[B_SURFACE]],
                   plan->scene + (int64_t)row[B_NUMBERS],
-                  row[B_LENGTH],
-                  row[B_BEND],
-                  row[B_REACH],
+                  row[B_SIZE],
+                  row[B_LEAST_RADIUS],
+                  row[B_PANEL_LIMIT],
                   side};
 }
 
@@ -310,7 +310,7 @@ static void plan_segment(course_t *c, int64_t index, double *until) {
     const double cosine = s->turn[0], sine = s->turn[1], *w1 = c->w1;
     set_path_velocity(c, (double[2]){cosine * w1[0] - sine * w1[1], sine * w1[0] + cosine * w1[1]});
   }
-  /* under a law that makes up for growth, no slip is left after a rest */
+  /* under a law that cancels growth, no slip is left after a rest */
   if (d->grows && d->sigma[0] == 0.0) c->v[0] = c->v[1] = 0.0;
   memcpy(s->w[0], c->w1, sizeof c->w1), memcpy(s->w[1], c->w2, sizeof c->w2);
   memcpy(s->v, c->v, sizeof c->v);

@@ -1,11 +1,12 @@
-/* Paths of legs that end at a goal, by Newton's method (theory section 11). Each lane is a trial.
+/* Paths of legs that end at a goal, by the Gauss-Newton method (theory section 11). Each lane is a
+   trial.
 
    All vectors are given in the frame of the path: p the direction of travel, q = n x p. On both
    bodies p is the same direction in space, and q and n are opposite ones. Jacobi fields say how the
    frame at the end moves with each unknown: directions and lengths of the legs. */
 
 enum { MOST_LEGS = 4, UNKNOWNS = 2 * MOST_LEGS };
-/* steps of Newton's method; steps after which a path that hardly improves is given up; paths that
+/* steps of the method; steps after which a path that hardly improves is given up; paths that
    arrive, after which the search ends */
 enum { MOST_TRIES = 40, PATIENCE = 6, ENOUGH = 2 };
 
@@ -141,13 +142,13 @@ static void start_path(rolled_t *r) {
 static void roll(search_t *w, int side) {
   const steer_t *aim = w->aim;
   rolled_t *r = w->rolled + side;
-  const double sign = side ? -1.0 : 1.0, part = aim->pace / (double)aim->parts;
+  const double sign = side ? -1.0 : 1.0, part = aim->w_length / (double)aim->parts;
   const int n = w->legs, all = w->unknowns;
   double turn[L], length[L];
   start_path(r);
   for (int k = 0; k < n; k++) {
     for (int l = 0; l < L; l++) {
-      const double first = sign * aim->lean - (double)side * aim->psi;
+      const double first = sign * aim->w_angle - (double)side * aim->psi;
       turn[l] = k ? sign * (w->tried[k][l] - w->tried[k - 1][l]) : first + sign * w->tried[0][l];
       length[l] = w->active[l] ? part * w->tried[n + k][l] : 0.0;
     }
@@ -195,7 +196,7 @@ static void tilt(rolled_t *r, int n, double (*ahead)[L], double (*aside)[L]) {
     memcpy(r->shape.r, r->lines.y, (size_t)r->lines.state * sizeof *r->lines.y);
     form = run(&r->shape);
   } else
-    for (int i = 0; i < 3; i++) fill_lanes(flat[i], i == 1 ? 0.0 : r->body->bend);
+    for (int i = 0; i < 3; i++) fill_lanes(flat[i], i == 1 ? 0.0 : r->body->normal_curvature);
   for (int i = 0; i < n; i++)
     EACH_LANE(l) {
       ahead[i][l] = form[0][l] * r->ahead[i][l] + form[1][l] * r->aside[i][l];
@@ -232,7 +233,7 @@ static void pose_off(search_t *w, double unit, double (*off)[L], double (*from)[
   for (int i = 0; i < 3; i++)
     for (int j = 0; j < 3; j++) {
       const double goal = i == j ? same[i] : 0.0;
-      turned_product(f[1][i], aim->turn, f[0][j], c[i][j]);
+      turned_product(f[1][i], aim->rotation, f[0][j], c[i][j]);
       EACH_LANE(l) c[i][j][l] = goal - c[i][j][l], size[l] += c[i][j][l] * c[i][j][l];
     }
   EACH_LANE(l) {
@@ -257,7 +258,7 @@ static void pose_off(search_t *w, double unit, double (*off)[L], double (*from)[
 
 /* Rows for the rotation of the finger and, of a pose, for its origin. */
 static void arrive_in_pose(search_t *w) {
-  const rolled_t *one = w->rolled, *other = w->rolled + 1;
+  const rolled_t *finger = w->rolled, *object = w->rolled + 1;
   const int n = w->unknowns, is_pose = w->aim->is_pose != 0;
   const double unit = is_pose ? 1.0 / w->aim->size : 0.0;
   equations_t *e = &w->now;
@@ -268,7 +269,7 @@ static void arrive_in_pose(search_t *w) {
   by_unknown_t spin[3]; /* how the finger turns about the frame's axes with each unknown */
   for (int i = 0; i < n; i++)
     EACH_LANE(l) {
-      spin[0][i][l] = one->turns[i][l] + other->turns[i][l];
+      spin[0][i][l] = finger->turns[i][l] + object->turns[i][l];
       spin[1][i][l] = ahead[0][i][l] + ahead[1][i][l];
       spin[2][i][l] = aside[1][i][l] - aside[0][i][l];
     }
@@ -281,8 +282,8 @@ static void arrive_in_pose(search_t *w) {
     EACH_LANE(l) {
       const double mu = spin[0][i][l], e0 = spin[1][i][l], e1 = spin[2][i][l];
       const double x = from[0][l], y = from[1][l], z = from[2][l];
-      moves[0][i][l] = unit * (other->ahead[i][l] - one->ahead[i][l]) - (mu * y - e0 * z);
-      moves[1][i][l] = unit * (other->aside[i][l] + one->aside[i][l]) - (mu * x - e1 * z);
+      moves[0][i][l] = unit * (object->ahead[i][l] - finger->ahead[i][l]) - (mu * y - e0 * z);
+      moves[1][i][l] = unit * (object->aside[i][l] + finger->aside[i][l]) - (mu * x - e1 * z);
       moves[2][i][l] = e0 * x - e1 * y;
     }
   for (int row = 0; row < 3; row++) add_row(e, n, moves[row], off[3 + row]);
@@ -304,13 +305,13 @@ static void try_paths(search_t *w) {
   for (int side = 0; side < 2; side++) roll(w, side);
   for (int side = 0; side < 2; side++)
     if (w->aim->body[side].wanted) arrive_at_place(w, side);
-  if (w->aim->turns) arrive_in_pose(w);
+  if (w->aim->has_rotation) arrive_in_pose(w);
   keep_short(w);
   for (int l = 0; l < L; l++)
     if (w->rolled[0].lines.lost[l] || w->rolled[1].lines.lost[l]) w->now.size[l] = HUGE_VAL;
 }
 
-/* ---- Newton's method, with Levenberg's damping ---- */
+/* ---- the Gauss-Newton method, with Levenberg's damping ---- */
 
 static const double NO_DAMPING = 1e-12; /* but where no equation depends on an unknown */
 

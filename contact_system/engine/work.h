@@ -16,7 +16,7 @@ typedef struct {
   double least;     /* the least sigma */
   double per_metre; /* the least lam/sigma or, if greater, 1/length, 1/m: V moves the contact by at
                        most |V|/per_metre before it has decayed */
-  int64_t grows;    /* the law makes up for growth: decay has the factor sigma(0)/sigma */
+  int64_t grows;    /* the law cancels growth: decay has the factor sigma(0)/sigma */
   int64_t n_sigma, n_exponent;
   /* polynomials: sigma; L without the term for growth; int sigma, which has n_sigma + 1 terms */
   const double *sigma, *exponent, *length;
@@ -25,8 +25,8 @@ typedef struct {
 typedef struct {
   const surface_t *surface;
   const double *numbers;
-  double size, bend, reach; /* as B_LENGTH, B_BEND and B_REACH say */
-  int side;                 /* 0: the finger, 1: the object */
+  double size, least_radius, panel_limit; /* as B_SIZE, B_LEAST_RADIUS and B_PANEL_LIMIT say */
+  int side;                               /* 0: the finger, 1: the object */
 } body_t;
 
 /* a motion as Chebyshev series: edges[n + 1], series[n][rows][L + 1] */
@@ -47,7 +47,7 @@ typedef struct {
   panels_t panels; /* of the state, then W_1 or V if accelerated; of a LINE, g = int sigma decay */
   /* great circles: x0, unit tangents along and across, cosine and sine of the angle from p to
      `along`, and rad per metre of int sigma */
-  double at[3], along[3], across[3], lean[2], rate;
+  double at[3], along[3], across[3], direction[2], rate;
   /* lines in a developed chart: begin + slope s - aside g + offset tau, s = int sigma */
   double begin[3], slope[2], aside[2];
   int far; /* so long that whole turns have to be taken off in doubled precision */
@@ -84,7 +84,7 @@ struct plan {
   int64_t n_contacts;
   contact_t *contacts;
   block_t *memory;
-  work_t *kept; /* working memory for `look`, or NULL */
+  work_t *work; /* working memory that `evaluate_at` keeps, or NULL */
 };
 
 enum { MAX_STATES = 8, TERMS = L + 1 };
@@ -104,8 +104,8 @@ struct work {
   room_t one;              /* registers of tables that run at one point */
   room_t edges, series;    /* of the motion that is being integrated */
   room_t raw;              /* anchors before their branch is known */
-  int64_t spent, begun;    /* panels tried so far, and before this contact */
-  int64_t most, greediest; /* most panels tried by an earlier contact, and which one it was */
+  int64_t tried, begun;    /* panels tried so far, and before this contact */
+  int64_t most, costliest; /* most panels tried by an earlier contact, and which one it was */
 };
 
 static _Noreturn void fail(work_t *w, int code) {
@@ -274,12 +274,12 @@ static void panels_at(const panels_t *p, int64_t row, int64_t rows, const double
     k = interval(p->edges, p->n, clip(x[i], 0.0, end), k);
     const double low = p->edges[k], high = p->edges[k + 1];
     /* a panel may be so short that its inverse is infinite */
-    const double pace = high - low > 1e-300 ? 2.0 / (high - low) : 0.0;
+    const double scale = high - low > 1e-300 ? 2.0 / (high - low) : 0.0;
     const double from = k ? low : -HUGE_VAL, to = k + 1 < p->n ? high : HUGE_VAL;
     double xi[L], part[MAX_STATES][L];
     int stop = i + 1;
     while (stop < L && x[stop] >= from && x[stop] < to) stop++;
-    for (int q = 0; q < L; q++) xi[q] = clip((x[q] - low) * pace - 1.0, -1.0, 1.0);
+    for (int q = 0; q < L; q++) xi[q] = clip((x[q] - low) * scale - 1.0, -1.0, 1.0);
     const double *c = p->series + (k * p->rows + row) * TERMS;
     if (i == 0 && stop == L)
       series_at(c, rows, xi, y);

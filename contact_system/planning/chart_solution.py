@@ -49,9 +49,9 @@ class ChartMotion:
         if reason := without_chart(scene):
             raise SceneError(f"{scene.title}{reason}; use the default method")
         self._begin, self._end = begin, scene.duration
-        spent = itertools.count(1)  # evaluations, of all contacts
+        evaluations = itertools.count(1)  # of all contacts
         self._contacts = [
-            ChartContact(scene, tolerance, begin, solver, i, start, spent)
+            ChartContact(scene, tolerance, begin, solver, i, start, evaluations)
             for i, start in enumerate(starts or [contact.start() for contact in scene.contacts])
         ]
 
@@ -86,7 +86,7 @@ class ChartContact:
         solver: str,
         index: int,
         start: Start,
-        spent: Iterator[int],
+        evaluations: Iterator[int],
     ):
         contact, self._where = scene.contacts[index], f"{scene.title}, contact {index}"
         if contact.follows:
@@ -96,17 +96,17 @@ class ChartContact:
         disturbances = [replace(d, contact=0) for d in scene.disturbances if d.contact == index]
         alone = scene.replace(contacts=[contact], disturbances=disturbances)
         self._system = SceneSystem(alone, "chart", disturbance_input=True)
-        makes_up, ends = scene.gain.row.makes_up, (begin, scene.duration)
-        knots = scene.profile.knots(*ends) if makes_up else ends  # where the gain has a kink
+        cancels_growth, ends = scene.gain.row.cancels_growth, (begin, scene.duration)
+        knots = scene.profile.knots(*ends) if cancels_growth else ends  # where the gain has a kink
         windows = [t for t in self._system.edges if t > begin]
         self._edges = np.array(sorted({*windows, *knots}))
         self._acting = np.array([self._system.window_values(t) for t in self._edges[:-1]])
         self.lines: list[str] = []
-        self._solution = self._integrated(start, tolerance, solver, spent)
+        self._solution = self._integrated(start, tolerance, solver, evaluations)
         self._require_regular()
 
     def _integrated(
-        self, start: Start, tolerance: float, solver: str, spent: Iterator[int]
+        self, start: Start, tolerance: float, solver: str, evaluations: Iterator[int]
     ) -> OdeSolution:
         """Integrate from edge to edge, with the disturbances that act there."""
         what = f"{self._where}: {solver}: evaluations of the plan's chart equations"
@@ -120,7 +120,7 @@ class ChartContact:
             pushes[:] = acting
 
             def f(t: float, x: np.ndarray) -> np.ndarray:
-                within("EVALUATIONS", next(spent), what, remedy=remedy)
+                within("EVALUATIONS", next(evaluations), what, remedy=remedy)
                 time[0], place[:] = t, x
                 machine.run()
                 return machine.results.copy()

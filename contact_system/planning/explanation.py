@@ -182,8 +182,8 @@ def _ended_early(scene: Scene, failure: Failure, surface: Surface) -> str:
     )
     return (
         f"{failure.panels} panels reach {reached} of {failure.end:.9g} only, and the plan has "
-        f"tried {failure.spent} of at most {limits.PANELS:.15g}, {failure.most} of them for "
-        f"contact {failure.greediest}; {why}, or set contact_system.limits.PANELS higher"
+        f"tried {failure.tried} of at most {limits.PANELS:.15g}, {failure.most} of them for "
+        f"contact {failure.costliest}; {why}, or set contact_system.limits.PANELS higher"
     )
 
 

@@ -70,7 +70,7 @@ class Buffer:
         rows = self._rows(scene, begin, starts)
         head = _HEAD(
             *(len(scene.contacts), tolerance, limits.PANELS, begin, scene.duration),
-            *(scene.gain.value, law.power, law.makes_up, *obj),
+            *(scene.gain.value, law.power, law.cancels_growth, *obj),
         )
         self.numbers = b"".join([head, *rows, struct.pack(f"{len(self._tail)}d", *self._tail)])
 
@@ -85,8 +85,8 @@ class Buffer:
         if body is None:
             self.surfaces.append(surface)
             index = self._put((surface.sign, *surface.parameters))
-            body = (len(self.surfaces) - 1, index, surface.size, surface.bend, surface.reach)
-            self._bodies[id(surface)] = body
+            lengths = surface.size, surface.least_radius, surface.panel_limit
+            body = self._bodies[id(surface)] = (len(self.surfaces) - 1, index, *lengths)
         return body
 
     def _legs(self, way: Sequence[Stretch]) -> tuple[int, int]:

@@ -101,8 +101,8 @@ def _span(
         t = plan.regular_times(plan.sample_times())
         results = plan.evaluate(t, "states", "points")
         q = results["states"][:, contacts, 4 * side : 4 * side + 2].reshape(-1, 2)
-        reach = np.ptp(results["points"][:, contacts, side].reshape(-1, 3), axis=0).max()
-        margin = 0.35 * reach / surface.lame(*q[len(q) // 2])[k]
+        extent = np.ptp(results["points"][:, contacts, side].reshape(-1, 3), axis=0).max()
+        margin = 0.35 * extent / surface.lame(*q[len(q) // 2])[k]
         start, stop = q[:, k].min() - margin, q[:, k].max() + margin
     hair = 1e-6 * (stop - start)
     return start + hair, stop - hair

@@ -72,22 +72,22 @@ class Aim(Steer):
             self.pose = np.array(goal.pose)
         self.regions = self._regions(goal)
         w: Any = self.contact.finger_velocity
-        self.pace, self.lean = math.hypot(*w), math.atan2(w[1], w[0])
+        self.w_length, self.w_angle = math.hypot(*w), math.atan2(w[1], w[0])
         sizes = {body.size for body in self.bodies if not is_plane(body)} or {1.0}
         self.sizes = [min(sizes) if is_plane(body) else body.size for body in self.bodies]
         away = [math.dist(self.start[side][0], self.goal[side][0]) for side in self.sides]
         if goal.pose is not None:
             away = [math.dist(pose[:3, 3], [row[3] for row in goal.pose[:3]])]
-        self.far = max(away) / self.pace
+        self.far = max(away) / self.w_length
         widths = [region.widest for region in self.regions]
-        unit = min([self._turning_length(*curvatures), *widths]) / self.pace
+        unit = min([self._turning_length(*curvatures), *widths]) / self.w_length
         self.unit = max(unit, 0.05 * self.far)  # far goals take long steps
         self.size = min(self.sizes)  # with a greater one places would weigh too little
         self.longest = (1 - 1e-10) * (longest or 0.0)  # paths keep to it within 1e-12 or so
         self.parts = PARTS if self.regions else 1
-        self.turns, self.is_pose = self.pose is not None, goal.pose is not None
+        self.has_rotation, self.is_pose = self.pose is not None, goal.pose is not None
         if self.pose is not None:
-            self.turn[:] = self.pose[:3, :3].ravel().tolist()
+            self.rotation[:] = self.pose[:3, :3].ravel().tolist()
             self.origin[:] = self.pose[:3, 3].tolist()
         self._followers: list[Follower] = []  # the engine points into them
         for side in (0, 1):
@@ -199,7 +199,7 @@ class Aim(Steer):
         data.start[:] = [*x.tolist(), *frame[:, :2].T.ravel().tolist()]
         data.goal[:] = self.goal[side][0].tolist()
         if body.chart.great_circles:
-            data.gauss, data.bend = body.size**-2, body.sign / body.size
+            data.gauss, data.normal_curvature = body.size**-2, body.sign / body.size
         elif not is_plane(body):
             follower = Follower(body)
             self._followers.append(follower)

@@ -27,7 +27,7 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
         return None
     ball, plane = kinds.index(True), kinds.index(False)
     r, psi = aim.sizes[ball], aim.psi
-    if below <= max(4 * math.pi * r / aim.pace, aim.far):
+    if below <= max(4 * math.pi * r / aim.w_length, aim.far):
         return None
     # the ball's turn includes the change of psi, as rolling does not turn the plane's frame
     (a, b), (turned, moved) = _turn_of_ball(aim, ball), _move_on_plane(aim, plane)
@@ -50,10 +50,10 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
     ahead = -psi - cmath.phase(left[k])
     ways = np.array([first[k], second[k], ahead - open_by, ahead + open_by])
     lengths = np.array([2 * r * s1[k], 2 * r * s2[k], whole, whole])
-    if np.abs(lengths).sum() >= below * aim.pace:
+    if np.abs(lengths).sum() >= below * aim.w_length:
         return None
     directions = ways if ball == 0 else -psi - ways
-    return np.concatenate([directions - aim.lean, lengths / aim.pace])
+    return np.concatenate([directions - aim.w_angle, lengths / aim.w_length])
 
 
 def _move_on_plane(aim: Aim, side: int) -> tuple[complex, complex]:

@@ -44,14 +44,14 @@ class Follower(Followed):
 
     def __init__(self, surface: Surface):
         self.space = in_space(surface)
-        self.detail = 0.3 * min(surface.bend, 0.5 * surface.size)
+        self.detail = 0.3 * min(surface.least_radius, 0.5 * surface.size)
         super().__init__(
             ctypes.addressof(surface.engine_data),
             surface.tables.geodesic.address,
             binding.address(surface.numbers),
             surface.size,
             self.detail,
-            surface.reach * surface.size / 8,
+            surface.panel_limit * surface.size / 8,
         )
         self.kept = surface  # the engine points to its numbers
 
@@ -73,7 +73,7 @@ class Search:
 
     def __init__(self, pairs: Pairs):
         self.pairs, self.follow, self.surface = pairs, pairs.follow, pairs.surface
-        self.spent = np.zeros(len(pairs.chord), int)  # strips of each pair
+        self.examined = np.zeros(len(pairs.chord), int)  # strips of each pair
         farthest = float(pairs.chord.max(initial=0.0))
         if farthest > MOST_SIZES * self.surface.size:
             raise SurfaceError(
@@ -201,23 +201,23 @@ class Search:
             for part in (slice(i, i + TOGETHER) for i in range(0, len(pair), TOGETHER)):
                 yield from self.candidates(pair[part], limit[part], phi[part], width[part], depth)
             return
-        self.spent += np.bincount(pair, minlength=len(self.spent))
-        most = self.spent.argmax()
+        self.examined += np.bincount(pair, minlength=len(self.examined))
+        most = self.examined.argmax()
         what = (
-            f"{self.surface!r}, least radius of curvature about {self.surface.bend:.2g} m: strips "
-            f"of a search for geodesics from {self.pairs.x[most].tolist()}"
+            f"{self.surface!r}, least radius of curvature about {self.surface.least_radius:.2g} m: "
+            f"strips of a search for geodesics from {self.pairs.x[most].tolist()}"
         )
-        within("STRIPS", self.spent[most], what, SurfaceError)
+        within("STRIPS", self.examined[most], what, SurfaceError)
         count = int(min(max(math.ceil(limit.max() / self.follow.detail), 8), 400))
         exact = np.minimum(0.01 * width, ROUGH)
         sides = (self.pairs.start(pair, side) for side in (phi, phi + width))
-        one, other = (self.follow(side, limit, exact, count) for side in sides)  # x and J
-        across = other[:, :3] - one[:, :3]
+        left, right = (self.follow(side, limit, exact, count) for side in sides)  # x and J
+        across = right[:, :3] - left[:, :3]
         wide = np.sqrt(np.einsum("kij,kij->kj", across, across))
-        arc = width * np.abs(one[:, 3] + other[:, 3]) / 2
+        arc = width * np.abs(left[:, 3] + right[:, 3]) / 2
         flat = (np.abs(wide - arc) <= FLAT * arc) & (arc <= NARROW * self.surface.size)
-        wide = np.maximum(wide, width * np.maximum(np.abs(one[:, 3]), np.abs(other[:, 3])))
-        middle = 0.5 * (one[:, :3] + other[:, :3])
+        wide = np.maximum(wide, width * np.maximum(np.abs(left[:, 3]), np.abs(right[:, 3])))
+        middle = 0.5 * (left[:, :3] + right[:, :3])
         r = self.pairs.b[pair].T - middle
         away = np.sqrt(np.einsum("kij,kij->kj", r, r))
         near, coarse = self.passing(away, wide, flat, limit)
@@ -225,7 +225,7 @@ class Search:
         k, strip, share, ahead = self.closest(near & ~coarse, away, across, r, middle)
         s = limit[strip] / count * np.maximum(k + 1 + ahead * count / limit[strip], 0.25)
         yield pair[strip], phi[strip] + width[strip] * share, s, limit[strip]
-        folds = one[k, 3, strip] * other[k, 3, strip] < 0  # a caustic: two geodesics may meet b
+        folds = left[k, 3, strip] * right[k, 3, strip] < 0  # a caustic: two geodesics may meet b
         for side in (0.0, 1.0):
             own = strip[folds]
             yield pair[own], phi[own] + side * width[own], s[folds], limit[own]
@@ -259,6 +259,6 @@ class Search:
         inside = np.abs(aside) <= 0.75 * wide + 0.2 * self.follow.detail
         k, strip, r, share = k[inside], strip[inside], r[inside], 0.5 + (aside / wide)[inside]
         low = np.minimum(np.maximum(k - 1, 0), len(middle) - 2)
-        way = middle[low + 1, :, strip] - middle[low, :, strip]
-        pace = np.maximum(np.linalg.norm(way, axis=1), 1e-300)
-        return k, strip, np.clip(share, 0, 1), np.einsum("ij,ij->i", way, r) / pace
+        along = middle[low + 1, :, strip] - middle[low, :, strip]
+        step = np.maximum(np.linalg.norm(along, axis=1), 1e-300)
+        return k, strip, np.clip(share, 0, 1), np.einsum("ij,ij->i", along, r) / step

@@ -62,7 +62,7 @@ class Surface:
 
     has_chart: ClassVar[bool] = True
     has_implicit: ClassVar[bool] = True
-    reach: ClassVar[float] = math.inf  # longest panel, in sizes: bumps between nodes are missed
+    panel_limit: ClassVar[float] = math.inf  # in sizes; longer panels miss bumps between nodes
     __match_args__: ClassVar[tuple[str, ...]]  # the positional arguments, set by dataclasses
     examples: ClassVar[tuple[tuple[Any, ...], ...]] = ()
     """Arguments for one surface of each structure, for classes with tables in the engine."""
@@ -135,7 +135,7 @@ class Surface:
         raise NotImplementedError
 
     @property
-    def bend(self) -> float:
+    def least_radius(self) -> float:
         """Typical least radius of curvature, m; the size if it is not known. The radius may be far
         less at a tip or an inner rim, which few paths meet."""
         return self.size

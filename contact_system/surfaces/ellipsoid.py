@@ -224,7 +224,7 @@ class Ellipsoid(OfLengths):
         return ellipsoid_chart(self.a, self.b, self.c)[1]
 
     @property
-    def bend(self) -> float:
+    def least_radius(self) -> float:
         return max(self.c**2 / self.a, self.c / 3)
 
     @property

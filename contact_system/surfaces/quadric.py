@@ -163,7 +163,7 @@ class Quadric(Surface):
         return max(self._principal[1])
 
     @property
-    def bend(self) -> float:
+    def least_radius(self) -> float:
         return min(self._principal[1])
 
     @property

@@ -63,7 +63,7 @@ class Torus(OfLengths):
         return self.major + self.minor
 
     @property
-    def bend(self) -> float:
+    def least_radius(self) -> float:
         return self.minor
 
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:

@@ -46,7 +46,7 @@ class CentralChart(Chart):
 class UserSurface(Surface):
     """Base class of surfaces given by a formula."""
 
-    reach: ClassVar[float] = 2.0  # short panels, as the surface may have bumps anywhere
+    panel_limit: ClassVar[float] = 2.0  # short panels, as the surface may have bumps anywhere
     formula: Formula
     size: float = field(default=1.0, kw_only=True)
 
@@ -150,10 +150,8 @@ class ParametricSurface(UserSurface):
             if period is not None:
                 what = f"{self._kind}: {name}_period"
                 period = finite_number(period, what, "above 0", SurfaceError)
-            reach = math.pi if period is None else period / 2
-            span = _range(
-                f"{self._kind}: {name}_range", (-reach, reach) if given is None else given
-            )
+            half = math.pi if period is None else period / 2
+            span = _range(f"{self._kind}: {name}_range", (-half, half) if given is None else given)
             store(self, **{f"{name}_range": span, f"{name}_period": period})
         self._require_periods()
 
@@ -278,7 +276,7 @@ class ParametricSurface(UserSurface):
         """Gauss-Newton with step halving; returns u, v and the distance left, each (n,)."""
         offset = target - self.point(u, v)
         miss = np.linalg.norm(offset, axis=1)
-        pace = np.ones(len(u))
+        fraction = np.ones(len(u))
         for _ in range(60):
             tangents = self.frame(u, v)[..., :2]
             ahead = np.einsum("nik,ni->nk", tangents, offset)
@@ -287,15 +285,15 @@ class ParametricSurface(UserSurface):
             m = self.metric_root(u, v)
             step_v = ahead[:, 1] / m[:, 1, 1]
             step_u = (ahead[:, 0] - m[:, 0, 1] * step_v) / m[:, 0, 0]
-            trial_u, trial_v = u + pace * step_u, v + pace * step_v
+            trial_u, trial_v = u + fraction * step_u, v + fraction * step_v
             trial_offset = target - self.point(trial_u, trial_v)
             trial_miss = np.linalg.norm(trial_offset, axis=1)
             better = trial_miss < miss
             u, v = np.where(better, trial_u, u), np.where(better, trial_v, v)
             offset = np.where(better[:, None], trial_offset, offset)
             miss = np.where(better, trial_miss, miss)
-            pace = np.where(better, 1.0, pace / 2)
-            if np.all(pace < 1e-6):
+            fraction = np.where(better, 1.0, fraction / 2)
+            if np.all(fraction < 1e-6):
                 break
         return u, v, miss
 

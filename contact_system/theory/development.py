@@ -81,8 +81,8 @@ class Moving:
     def geodesic(self, fields: ca.SX) -> ca.SX:
         """Derivatives by arc length along p of the state and of J, J', M, M' (section 11)."""
         j, j_rate, m, m_rate = ca.vertsplit(fields)
-        bend = -self.gauss()
-        return ca.vertcat(self.motion(ca.SX([1, 0])), j_rate, bend * j, m_rate, bend * m)
+        minus_k = -self.gauss()
+        return ca.vertcat(self.motion(ca.SX([1, 0])), j_rate, minus_k * j, m_rate, minus_k * m)
 
     def motion(self, c: ca.SX) -> ca.SX:
         """Rates of the state if the point moves with the velocity c in the parallel frame."""
@@ -128,8 +128,8 @@ class InSpace(Moving):
         """x' = c1 p + c2 q, p' = -II(p, x') n."""
         velocity = c[0] * self.first + (c[1] * self._scale) * self._across
         # n and II both change sign with the side, so p' needs no sign
-        bend = ca.dot(self.hessian @ self.first, velocity) * self._steepness
-        return ca.vertcat(velocity, -bend * self.gradient)
+        second_form = ca.dot(self.hessian @ self.first, velocity) * self._steepness
+        return ca.vertcat(velocity, -second_form * self.gradient)
 
     def gauss(self) -> ca.SX:
         """g . adj(H) g / |g|^4 with g = grad F and H = Hess F."""

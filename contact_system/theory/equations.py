@@ -148,22 +148,22 @@ def relative_twist(
     k1, k2 = (symmetric(*ca.vertsplit(k)) for k in shapes)
     # Montana's inverse map, (-omega_y, omega_x) in the frame of K_2: Montana, Int. J. Robotics
     # Research 7(3), 1988
-    bend = k2 @ velocities[1] + r0 @ (k1 @ velocities[0])
-    omega = bend[0] * q2 - bend[1] * p2
+    rolling = k2 @ velocities[1] + r0 @ (k1 @ velocities[0])
+    omega = rolling[0] * q2 - rolling[1] * p2
     sliding = v_rel[0] * p2 + v_rel[1] * q2
     arm = x2 - relative_pose(*frames, r0)[1]  # from the finger's origin to the contact
     return omega, -sliding - ca.cross(omega, arm)
 
 
 def contact_velocities(
-    shape_1: ca.SX, shape_2: ca.SX, r: ca.SX, bend: ca.SX, v_rel: ca.SX
+    shape_1: ca.SX, shape_2: ca.SX, r: ca.SX, rolling: ca.SX, v_rel: ca.SX
 ) -> tuple[ca.SX, ca.SX]:
     """Montana's forward map from a twist to the contact velocities a_i = M_i q_i' in E_i, m/s.
 
-    shape_i: K_i (2, 2); r: R_psi; bend: [-omega_y, omega_x] in E1, rad/s, which is equal to
+    shape_i: K_i (2, 2); r: R_psi; rolling: [-omega_y, omega_x] in E1, rad/s, which is equal to
     ``K_1 a_1 + R_psi K_2 a_2``; v_rel: slip in E2, m/s. Not finite where the bodies conform.
     """
-    a1 = solve_plane(relative_curvature(shape_1, shape_2, r), bend + r @ shape_2 @ v_rel)
+    a1 = solve_plane(relative_curvature(shape_1, shape_2, r), rolling + r @ shape_2 @ v_rel)
     return a1, r @ a1 - v_rel
 
 

@@ -34,18 +34,18 @@ from .profile import (
 
 @dataclass(frozen=True)
 class Law:
-    """A gain law: lam = value sigma^power, plus max(0, sigma'/sigma) if it `makes_up` for growth.
+    """A gain law: lam = value sigma^power, plus max(0, sigma'/sigma) if it `cancels_growth`.
 
     The integral of lam is a polynomial, plus a logarithm where sigma grows. Slip shrinks while
-    sigma'/sigma - lam < 0. Without `makes_up` this holds throughout for every value above the
-    greatest sigma'/sigma^(power + 1); with `makes_up` it holds for every positive value.
+    sigma'/sigma - lam < 0. Without `cancels_growth` this holds throughout for every value above the
+    greatest sigma'/sigma^(power + 1); with `cancels_growth` it holds for every positive value.
     """
 
     parameter: str
     """Name of the value."""
     formula: str
     power: int
-    makes_up: bool = False
+    cancels_growth: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.power, int) or self.power < 0:
@@ -66,13 +66,13 @@ class Law:
     def rate(self, value: Any, sigma: Any, growth: Any) -> Any:
         """lam for numbers or symbols; growth is max(0, sigma'/sigma)."""
         lam = value * sigma**self.power
-        return lam + growth if self.makes_up else lam
+        return lam + growth if self.cancels_growth else lam
 
 
 LAWS = {
     "path": Law("eta", "lam = eta sigma^2", 2),
     "time": Law("eta", "lam = eta", 0),
-    "guaranteed": Law("rho", "lam = max(0, sigma'/sigma) + rho", 0, makes_up=True),
+    "guaranteed": Law("rho", "lam = max(0, sigma'/sigma) + rho", 0, cancels_growth=True),
 }
 """The gain laws: the paper's; the one that gives its reported times; one that suits any sigma."""
 
@@ -141,7 +141,7 @@ class Gain:
         t = as_time(t)
         sigma: Any = profile(t)
         growth: Any = 0.0
-        if self.row.makes_up:
+        if self.row.cancels_growth:
             with np.errstate(divide="ignore", invalid="ignore"):
                 growth = np.maximum(0.0, np.asarray(profile.rate(t)) / sigma)
             growth = np.where(np.asarray(sigma) > 0, growth, np.inf)[()]
@@ -158,7 +158,7 @@ class Gain:
         sigma = profile.shifted(since) if since else profile.coefficients
         lam = rounded(exact_product((self.value,), *[sigma] * self.row.power))
         total = polynomial(integral(lam), t - since)
-        if self.row.makes_up:
+        if self.row.cancels_growth:
             last = float(np.max(t, initial=since))
             for start, stop in profile.growths(since, last):
                 with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -221,7 +221,7 @@ class Contraction:
 
     def _remedy(self) -> str:
         name, row = self.gain.parameter, self.gain.row
-        if row.makes_up:
+        if row.cancels_growth:
             least = "" if row.power else f", at least as fast as exp(-{name} t)"
             return f" Any {name} > 0 makes slip shrink throughout{least}."
         if math.isinf(self.least_eta):
@@ -250,7 +250,7 @@ def _least_gain(profile: Profile, law: Law, duration: float) -> float:
     """Supremum over the horizon of sigma'/sigma^(power + 1)."""
     c, slope = profile.coefficients, profile.slope
     zeros = profile.zeros(duration)
-    if not law.makes_up and any(t < duration for t in zeros):
+    if not law.cancels_growth and any(t < duration for t in zeros):
         return math.inf
     n = law.power + 1
     # d/dt (sigma' sigma^-n) = 0  <=>  sigma'' sigma - n sigma'^2 = 0
@@ -259,7 +259,7 @@ def _least_gain(profile: Profile, law: Law, duration: float) -> float:
     # divided step by step, as a power of a tiny sigma underflows
     steepest = (reduce(truediv, [profile(t)] * n, profile.rate(t)) for t in times)
     supremum = max(steepest, default=math.inf)
-    return min(0.0, supremum) if law.makes_up else supremum
+    return min(0.0, supremum) if law.cancels_growth else supremum
 
 
 def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[float, float], ...]:
@@ -270,8 +270,8 @@ def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[flo
         # expand polynomials about the interval's middle, where cancellation is least
         middle = 0.5 * (start + stop)
         c, law = profile.shifted(middle), gain.row
-        # a law that makes up for growth is here only with rho = 0: slip shrinks where sigma' < 0
-        loss = () if law.makes_up else exact_product((-gain.value,), *[c] * (law.power + 1))
+        # a law that cancels growth is here only with rho = 0: slip shrinks where sigma' < 0
+        loss = () if law.cancels_growth else exact_product((-gain.value,), *[c] * (law.power + 1))
         rate = rounded(exact_product(derivative(c)), loss)
         ends = start - middle, stop - middle
         turns = [middle + tau for tau in sign_changes(rate, *ends)]

@@ -166,20 +166,20 @@ class Profile:
                 f"profile = {list(c)}: sigma is zero for all t, so nothing moves; "
                 "give at least one coefficient that is not zero"
             )
-        reach = polynomial([abs(x) for x in c], duration)
-        if not reach < LARGEST:
+        terms = polynomial([abs(x) for x in c], duration)
+        if not terms < LARGEST:
             raise SceneError(
-                f"profile = {list(c)}: sigma reaches about {reach:.3g} m/s at t = {duration:g} s, "
+                f"profile = {list(c)}: sigma reaches about {terms:.3g} m/s at t = {duration:g} s, "
                 "too large for floating point; shorten the duration or lower the coefficients"
             )
         knots = self.knots(0.0, duration)
         t = min(knots, key=lambda t: clear_value(c, t))
         if clear_value(c, t) >= 0:
             peak = max(map(self, knots))
-            if not reach <= CANCELLED * peak:
+            if not terms <= CANCELLED * peak:
                 raise SceneError(
                     f"profile = {list(c)}: sigma is {peak:.3g} m/s at most and its terms are "
-                    f"{reach:.3g} m/s together at t = {duration:g} s, so that rounding leaves few "
+                    f"{terms:.3g} m/s together at t = {duration:g} s, so that rounding leaves few "
                     "digits of it; give a polynomial of lower degree, or a shorter duration"
                 )
             return

@@ -39,7 +39,7 @@ static inline const double *body_of(const model_t *m, long i, int side) {
   return side ? m->scene + S_OBJECT : row_of(m, i) + K_FINGER;
 }
 
-static inline int makes_up(const model_t *m) { return m->scene[S_MAKES_UP] > 0; }
+static inline int cancels_growth(const model_t *m) { return m->scene[S_CANCELS_GROWTH] > 0; }
 
 static inline const table_t *system_of(const model_t *m, long i) {
   return m->tables + m->contacts[i].system;

@@ -1,6 +1,6 @@
 /* Plans of contacts by the engine, each from the beginning of the contact's segment. */
 
-/* Puts a body into `row` and its numbers to *next; its size and bend scale with its lengths. */
+/* Puts a body into `row`, its size and least radius scaled, and its numbers to *next. */
 static void put_body(component_t *c, long i, int side, double **next, double *row) {
   const model_t *m = c->model;
   const int has_lengths = surface_of(m, i, side)->name[0] != 0; /* else it is a user's */
@@ -15,7 +15,7 @@ static void put_body(component_t *c, long i, int side, double **next, double *ro
     larger = j ? fmax(larger, ratio) : ratio, smaller = j ? fmin(smaller, ratio) : ratio;
     *(*next)++ = given[j];
   }
-  row[B_LENGTH] *= larger, row[B_BEND] *= smaller;
+  row[B_SIZE] *= larger, row[B_LEAST_RADIUS] *= smaller;
 }
 
 static void put_window(double **next, double slot, double start, double stop, const double *value,

@@ -72,9 +72,9 @@ static int rests(const component_t *c, long i) {
   return clear_sigma(&leg, c->now->time - leg.start) <= 0;
 }
 
-/* Whether the path is at rest under a law that makes up for growth: slip is then gone for good. */
+/* Whether the path is at rest under a law that cancels growth: slip is then gone for good. */
 static int leaves_slip_behind(const component_t *c, long i) {
-  return makes_up(c->model) && rests(c, i);
+  return cancels_growth(c->model) && rests(c, i);
 }
 
 /* Whether a time is at an edge or later, but for rounding: steps of 0.1 s do not add up to 1 s. The
@@ -113,7 +113,7 @@ static double next_edge(const component_t *c) {
     if (!reached(now->time, edge_of(c, k))) next = fmin(next, edge_of(c, k));
   if (now->stepping) return next;
   if (!reached(now->time, now->limit)) next = fmin(next, now->limit);
-  for (long i = 0; i < c->model->n_contacts && makes_up(c->model); i++) {
+  for (long i = 0; i < c->model->n_contacts && cancels_growth(c->model); i++) {
     const leg_t leg = leg_of(c, i, leg_now(c, i));
     const long n = signs_of(c, &leg, 1, now->time, fmin(now->limit, now->time + AGES));
     for (long k = 0; k < n; k++)

@@ -54,7 +54,7 @@ static const char *put_frame(component_t *c, long i, int side, double frame[6],
     const double *y = r + t->first_out;
     change = 0.0;
     for (int a = 0; a < 6; a++)
-      change += fabs(y[a] - r[a]) / (a < 3 ? body_of(c->model, i, side)[B_LENGTH] : 1.0);
+      change += fabs(y[a] - r[a]) / (a < 3 ? body_of(c->model, i, side)[B_SIZE] : 1.0);
     memcpy(r, y, 6 * sizeof *r);
     memcpy(c->surface_tangents, c->surface_tangents + t->first_out, 6 * sizeof *tangents);
   }

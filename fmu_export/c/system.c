@@ -54,13 +54,13 @@ static void find_system(component_t *c, long i, int group, int end) {
 }
 
 /* Turns the path velocity where a leg begins. V stays, but is zero after a rest under a law that
-   makes up for growth. */
+   cancels growth. */
 static void turn_path(component_t *c, long i, const leg_t *leg) {
   const double cs = leg->turn[0], sn = leg->turn[1];
   double *x = values_of(c, i, OF_STATES), *w = x + states_of(c->model, i) - 4;
   const double turned[2] = {cs * w[0] - sn * w[1], sn * w[0] + cs * w[1]};
   memcpy(w, turned, sizeof turned);
-  if (makes_up(c->model) && leg->sigma[0] == 0.0) no_slip(c->model, i, x);
+  if (cancels_growth(c->model) && leg->sigma[0] == 0.0) no_slip(c->model, i, x);
 }
 
 static void pass_edges(component_t *c) { /* from here on, values at an edge are those after it */
