@@ -37,11 +37,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .caching import cached_property
 from .checks import flag, one_of, shaped_array
 from .contact_equations import Form, contact_function
 from .engine.binding import START, Machine, run
 from .errors import SceneError
-from .kept import kept
 from .planning.starts import Moment, measured_start
 from .scene import SLOTS, Disturbance, Scene, Start, Stretch, acting, refuse_rest, require_scene
 from .scene.contact import rotated
@@ -157,7 +157,7 @@ class SceneSystem:
             if leg.start + zero > 0
         }
 
-    @kept
+    @cached_property
     def parameter_names(self) -> list[str]:
         """Names of p, such as ``gain.eta``, ``profile[0]``, ``contacts[0].finger.radius``."""
         scene = self.scene
@@ -170,12 +170,12 @@ class SceneSystem:
 
     # --- functions -------------------------------------------------------------------------------
 
-    @kept
+    @cached_property
     def _symbols(self) -> dict[str, ca.SX]:
         sizes = (1, len(self.x0), self.n_w, len(self.held0), len(self.parameters))
         return {name: ca.SX.sym(name, size) for name, size in zip(INPUTS, sizes)}
 
-    @kept
+    @cached_property
     def _expressions(self) -> dict[str, ca.SX]:
         """Every output as an expression of the symbols."""
         t, x, w, held, p = self._symbols.values()

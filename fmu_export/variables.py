@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from contact_system.caching import cached_property
 from contact_system.checks import one_of
 from contact_system.errors import SceneError
-from contact_system.kept import kept
 from contact_system.scene import Scene, require_scene
 from contact_system.surfaces import Quadric, Surface
 from contact_system.surfaces.base import OfLengths
@@ -57,7 +57,7 @@ class Table:
     arrays: bool
     measured: str
 
-    @kept
+    @cached_property
     def _by_name(self) -> dict[str, Variable]:
         return {v.name: v for v in (*self.joined, *self.rows)}
 
@@ -65,17 +65,17 @@ class Table:
         """The scalar or array of a name; KeyError where there is none."""
         return self._by_name[name]
 
-    @kept
+    @cached_property
     def states(self) -> list[int]:
         """References of the continuous states."""
         return [r for g in self.groups for r in range(g[STATE_GROUP], g[DERIVATIVES])]
 
-    @kept
+    @cached_property
     def inputs(self) -> list[int]:
         """References of the inputs."""
         return [r for g in self.groups for r in range(g[0], g[INPUT_GROUPS])]
 
-    @kept
+    @cached_property
     def start_values(self) -> np.ndarray:
         """The values before initialization: starts, and 0 for what is calculated, (n_values,)."""
         return np.array([x for row in self.rows for x in row.start or (0.0,)])
@@ -98,7 +98,7 @@ class Table:
         )
         return [0, *states, *inputs, first["gain"], *profile, *tip, *body]
 
-    @kept
+    @cached_property
     def joined(self) -> list[Variable]:
         """The variables with arrays instead of their elements."""
         return [array_of([*elements]) for _, elements in _arrays(self.rows)]

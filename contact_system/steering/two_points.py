@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..caching import cached_property
 from ..checks import finite_number, of_kind, shaped_array, whole_number
 from ..errors import SurfaceError
-from ..kept import kept
 from ..surfaces import SINGULAR, Surface, run_in_space
 from .shooting import MET, SHARP, Array, Follower, Search
 
@@ -60,7 +60,7 @@ class Geodesic:
         """Geodesic scale of the way back, from b to a."""
         return self._fields[1]
 
-    @kept
+    @cached_property
     def _fields(self) -> list[Any]:
         rows = self._ends(self._start, np.ravel(self.length))[9:]
         return [_shaped(row, np.shape(self.length)) for row in rows]

@@ -20,10 +20,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..caching import cached_property
 from ..checks import Array, finite_number, of_kind, real_array, shaped_array
 from ..engine.binding import SURFACES, SurfaceData, address, builtin_tables, run, wind
 from ..errors import ChartSingularity, SurfaceError
-from ..kept import kept
 from ..theory import symbols as ca
 from ..theory.development import IN_SPACE
 from ..theory.geometry import QUANTITIES, ROWS, ChartGeometry, chart_geometry
@@ -76,7 +76,7 @@ class Surface:
         """The chart's class."""
         raise NotImplementedError
 
-    @kept
+    @cached_property
     def parameters(self) -> tuple[float, ...]:
         """Numbers of the surface, such as radii in m; the values of the symbols ``p``."""
         return tuple([getattr(self, name) for name in self.__match_args__])
@@ -97,12 +97,12 @@ class Surface:
         """-1 where the body is inside, else 1."""
         return -1.0 if self.inside else 1.0
 
-    @kept
+    @cached_property
     def numbers(self) -> Array:
         """Constants of the tables: the sign of the side, then `parameters`."""
         return np.array([self.sign, *self.parameters])
 
-    @kept
+    @cached_property
     def tables(self) -> Any:
         """The tables of instructions of this structure: see `lowering.SurfaceTables`."""
         name = self.table_name
@@ -121,7 +121,7 @@ class Surface:
         """The engine's ``surface_t``, which points to the tables."""
         return self._own_data if self.table_name is None else SURFACES[self.table_name]
 
-    @kept
+    @cached_property
     def _own_data(self) -> SurfaceData:
         made = SurfaceData(b"", *self.traits)
         for group in ("ambient", "chart"):
@@ -165,7 +165,7 @@ class Surface:
         arguments += [f"{w.name}={getattr(self, w.name)!r}" for w in named]
         return f"{self._kind}({', '.join(arguments)})"
 
-    @kept
+    @cached_property
     def identity(self) -> Hashable:
         """The structure, numbers and options by which surfaces are compared."""
         options = [getattr(self, w.name) for w in fields(self) if w.kw_only]
@@ -314,7 +314,7 @@ class Surface:
     def _wrap(self, u: Any, v: Any) -> tuple[Any, Any]:
         return self.chart.wrap(u, v)
 
-    @kept
+    @cached_property
     def _regular(self) -> tuple[Chart, float]:
         """The chart with its numbers, and the `floor` above which points are clearly regular."""
         return self.chart(self.parameters), 2 * SINGULAR * self.size

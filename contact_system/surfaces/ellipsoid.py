@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from ..caching import cached_property
 from ..errors import SurfaceError
-from ..kept import kept
 from ..theory import symbols as ca
 from .base import OfLengths
 from .charts import (
@@ -215,11 +215,11 @@ class Ellipsoid(OfLengths):
             )
         require_thick("Ellipsoid", self.a, self.c)
 
-    @kept
+    @cached_property
     def chart(self) -> type[Chart]:
         return ellipsoid_chart(self.a, self.b, self.c)[0]
 
-    @kept
+    @cached_property
     def parameters(self) -> tuple[float, ...]:
         return ellipsoid_chart(self.a, self.b, self.c)[1]
 

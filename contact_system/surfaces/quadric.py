@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..caching import cached_property
 from ..checks import Array, shaped_array
 from ..errors import SurfaceError
-from ..kept import kept
 from ..theory import symbols as ca
 from .base import Surface, store
 from .charts import TURN, Chart, Pair
@@ -139,7 +139,7 @@ class Quadric(Surface):
                 f"({self.chart.__name__}); leave sheet out"
             )
 
-    @kept
+    @cached_property
     def _principal(self) -> tuple[type[Chart], Floats, Floats, Array]:
         """Chart, its numbers, the eigenvalues, and the rotation from chart axes to the body's."""
         chart, numbers, values, rotation = _principal_chart(np.array(self.A))
@@ -152,7 +152,7 @@ class Quadric(Surface):
     def chart(self) -> type[Chart]:
         return self._principal[0]
 
-    @kept
+    @cached_property
     def parameters(self) -> tuple[float, ...]:
         """Three numbers of the chart (padded by 1), nine of the rotation by rows, eigenvalues."""
         _, numbers, values, rotation = self._principal

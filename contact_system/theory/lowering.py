@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ..caching import cached_property
 from ..engine.binding import TableData
 from ..errors import ContactSystemError
-from ..kept import kept
 from . import symbols as ca
 from .development import IN_CHART, IN_SPACE, in_space, moving
 from .geometry import number_symbols, numbers_function
@@ -316,12 +316,12 @@ class SurfaceTables:
     def __init__(self, surface: Surface):
         self.surface = surface
 
-    @kept
+    @cached_property
     def ambient(self) -> tuple[Table | None, ...]:
         """State x, p: `development.IN_SPACE`."""
         return self._moving(in_space(self.surface), True, IN_SPACE)
 
-    @kept
+    @cached_property
     def chart(self) -> tuple[Table | None, ...]:
         """State u, v, theta: `development.IN_CHART`, for surfaces that may need this form."""
         wanted = self.surface.chart.double_cover or not in_space(self.surface)
@@ -333,24 +333,24 @@ class SurfaceTables:
         body, missing = moving(self.surface, ambient), () if self.surface.has_chart else ("start",)
         return tuple(None if name in missing else Table(body(name)) for name in names)
 
-    @kept
+    @cached_property
     def geodesic(self) -> Table:
         """A geodesic with its Jacobi fields, in space or in the chart as `in_space` says."""
         return Table(moving(self.surface, in_space(self.surface))("geodesic"))
 
-    @kept
+    @cached_property
     def geometry(self) -> Table:
         """(u, v), or x on a surface without a chart -> `ChartGeometry.column`."""
         size, shape = 2 if self.surface.has_chart else 3, self.surface.geometry_expr
         return self._made(size, lambda numbers, place: shape(numbers, place).column())
 
-    @kept
+    @cached_property
     def inverse(self) -> Table:
         """x -> u, v, for surfaces with an implicit form."""
         inverse = self.surface.coordinates_expr
         return self._made(3, lambda numbers, x: ca.vertcat(*inverse(numbers, x)))
 
-    @kept
+    @cached_property
     def ray(self) -> Table:
         """x, d -> the level function and its slope along d, for surfaces without a chart."""
 

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..caching import cached_property
 from ..checks import LARGEST, finite_number, finite_numbers, shaped_array, within
 from ..engine.binding import sign_changes
 from ..errors import SceneError
-from ..kept import kept
 
 Coefficients = tuple[float, ...]
 """Coefficients of a polynomial, lowest power first."""
@@ -200,7 +200,7 @@ class Profile:
         knots = self.knots(0.0, finite_number(duration, "duration"))
         return tuple(t for t in knots if clear_value(self.coefficients, t) <= 0)
 
-    @kept
+    @cached_property
     def slope(self) -> Coefficients:
         """Coefficients of sigma'."""
         return derivative(self.coefficients)

@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 T = TypeVar("T")
 
 
-class kept(Generic[T]):
+class cached_property(Generic[T]):
     """An attribute computed at its first access and stored in the instance under its name.
 
     If several threads compute it at the same time, all get the value that was stored first.
