@@ -36,7 +36,7 @@ static void drop_plan(component_t *c, long i) {
 static void free_component(component_t *c) {
   if (!c) return;
   for (long i = 0; c->live && i < c->model->n_contacts; i++) drop_plan(c, i);
-  free(c->own), free(c->live), free(c->scene), free(c->tangents);
+  free(c->fmu_state), free(c->live), free(c->scene), free(c->tangents);
   free_model(c->model);
   free(c);
 }
@@ -57,26 +57,25 @@ static void reset(component_t *c, int stepping) {
   forget(c);
 }
 
-/* Returns what is wrong, or NULL. */
 static const char *make_component(component_t *c, const char *resources) {
   const char *wrong;
   if (!(c->model = read_model(resources, &wrong))) return wrong;
   const model_t *m = c->model;
   const size_t registers = (size_t)m->head->registers, values = (size_t)m->n_values;
   c->engine = contact_engine();
-  c->own = new_saved(m);
+  c->fmu_state = new_saved(m);
   c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
   /* behind the scene there is never more than all of the model's data and windows for inputs */
   const size_t scene = (size_t)m->head->scene.count;
   c->scene = malloc((scene + (size_t)m->head->size + 3 * WINDOW_SIZE) * sizeof(double));
   c->tangents = malloc((values + 2 * registers) * sizeof *c->tangents + registers * sizeof(double));
-  if (!c->own || !c->live || !c->scene || !c->tangents) return "no memory";
+  if (!c->fmu_state || !c->live || !c->scene || !c->tangents) return "no memory";
   c->system_tangents = c->tangents + values, c->surface_tangents = c->system_tangents + registers;
   c->registers = (double *)(c->surface_tangents + registers);
   memcpy(c->scene, m->scene, scene * sizeof *c->scene);
   c->scene[S_CONTACTS] = 1, c->scene[S_PANELS] = MOST_PANELS;
   c->room = c->scene + scene;
-  c->now = &c->own->memory;
+  c->now = &c->fmu_state->memory;
   c->value = (double *)(c->now + 1), c->segment = (segment_t *)(c->value + m->n_values);
   return NULL;
 }

@@ -8,7 +8,8 @@
    all results are functions of the states, by a table of instructions that the engine runs.
 
    The FMI layer defines status_t: OK, DISCARD and FAILED. Everything is static: fmi2.c and fmi3.c
-   each include all of it, so that names do not clash. */
+   each include all of it, so that names do not clash. What sets up or starts something and returns
+   a text returns what is wrong, or NULL. */
 #ifndef CONTACT_COMPONENT
 #define CONTACT_COMPONENT
 #include "model.h"
@@ -63,10 +64,10 @@ typedef struct {
 typedef struct {
   model_t *model;
   const engine_t *engine;
-  saved_t *own;       /* the state */
-  memory_t *now;      /* in *own */
-  double *value;      /* in *now */
-  segment_t *segment; /* in *now */
+  saved_t *fmu_state;
+  memory_t *now; /* in *fmu_state; value and segment follow it there */
+  double *value;
+  segment_t *segment;
   live_t *live;
   double *scene;                 /* the engine's buffer, of one contact at a time; behind it: */
   double *room;                  /* scratch for windows and numbers, constants of tables, roots */
@@ -86,7 +87,7 @@ typedef struct {
 #define MOST_PANELS 20000.0 /* of one plan: a second of work, kilometres of path */
 
 /* whether results are computed from the states, else from plans */
-#define SYSTEM(now) (!(now)->stepping || ((now)->phase & (INSTANTIATED | INITIALIZATION)))
+#define FROM_STATES(now) (!(now)->stepping || ((now)->phase & (INSTANTIATED | INITIALIZATION)))
 
 /* The engine may compute with NaN; importers may trap invalid operations. */
 #define UNTRAPPED(...)                                                                             \

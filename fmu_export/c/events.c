@@ -11,8 +11,8 @@ static int pushed_at_rest(const component_t *c, long i) {
 enum { TRIGGER, MEASURED }; /* offsets in the group OF_MEASURED */
 
 /* Finds the states of contact i at the measured pose, by Newton's method from its planned place; or
-   takes the states that are measured, with a table of no unknowns. found: states, and roots of the
-   metrics, column by column. Returns what is wrong, or NULL. */
+   takes the states that are measured, with a table of no unknowns. found: states; M_1 and M_2,
+   column by column. */
 static const char *sense(component_t *c, long i, const double states[N_STATES],
                          const double points[6], const double **found) {
   const contact_t *k = c->model->contacts + i;
@@ -43,8 +43,7 @@ static const char *sense(component_t *c, long i, const double states[N_STATES],
                "frame; measure a moment later";
 }
 
-/* Lets segment s of contact i begin now at these states (u1 v1 u1' v1' ... psi); root: M_1 and M_2,
-   column by column. Returns what is wrong, or NULL. */
+/* Lets segment s of contact i begin now at these states; root: M_1 and M_2, column by column. */
 static const char *restart_at_states(component_t *c, long i, segment_t *s, const double x[N_STATES],
                                      const double *root) {
   const double sigma = sigma_now(c, i);
@@ -68,7 +67,7 @@ static const char *restart_at_states(component_t *c, long i, segment_t *s, const
   return NULL;
 }
 
-/* Lets segment s of contact i begin where it is measured. Returns what is wrong, or NULL. */
+/* Lets segment s of contact i begin where it is measured. */
 static const char *restart_at_measurement(component_t *c, long i, segment_t *s) {
   const int posed = c->model->contacts[i].unknowns[0] > 0;
   int by_plan = posed;

@@ -52,7 +52,7 @@ static status_t allowed(component_t *c, int phases) {
 #define NEEDS(pointers)                                                                            \
   if (!(pointers)) REFUSE("a pointer is missing")
 /* Functions of one interface only, of Model Exchange or of Co-Simulation */
-#define SYSTEM_ONLY(phases)                                                                        \
+#define EXCHANGE_ONLY(phases)                                                                      \
   BEGIN(phases);                                                                                   \
   if (c->now->stepping) REFUSE("the instance was made for Co-Simulation")
 #define STEPPING_ONLY(phases)                                                                      \
@@ -282,7 +282,7 @@ static status_t products(component_t *c, int transposed, const unsigned unknowns
   for (size_t k = 0; k < n_knowns; k++)
     if (c->model->values[knowns[k]].kind == CALCULATED)
       REFUSE("%s is not a known; give inputs, states or parameters", name_of(c->model, knowns[k]));
-  const status_t s = SYSTEM(c->now) ? OK : settle(c, "values", c->now->time);
+  const status_t s = FROM_STATES(c->now) ? OK : settle(c, "values", c->now->time);
   return s ? s : multiply(c, transposed, unknowns, n_unknowns, knowns, n_knowns, seed, value, n);
 }
 
@@ -302,7 +302,7 @@ EXPORT status_t FMI(GetFMUState)(void *instance, void **state) {
   NEEDS(state);
   saved_t *s = *state ? saved(c, *state) : new_saved(c->model);
   if (!s) return *state ? FAILED : report(c, FAILED, "no memory for an FMU state");
-  memcpy(s, c->own, c->own->length);
+  memcpy(s, c->fmu_state, c->fmu_state->length);
   *state = s;
   return OK;
 }
@@ -314,7 +314,7 @@ EXPORT status_t FMI(SetFMUState)(void *instance, void *state) {
   if (s->memory.stepping != c->now->stepping)
     REFUSE("this FMU state belongs to the other interface, %s",
            s->memory.stepping ? "Co-Simulation" : "Model Exchange");
-  memcpy(c->own, s, s->length);
+  memcpy(c->fmu_state, s, s->length);
   forget(c);
   if (c->now->phase == EVENT && c->now->stepping && !c->uses_events) c->now->phase = STEP;
   if (c->now->pending && !c->uses_events) pass_edges(c);
@@ -334,7 +334,7 @@ EXPORT status_t FMI(SerializedFMUStateSize)(void *instance, void *state, size_t 
   BEGIN(ANY);
   NEEDS(size);
   if (!saved(c, state)) return FAILED;
-  *size = c->own->length;
+  *size = c->fmu_state->length;
   return OK;
 }
 
@@ -353,7 +353,7 @@ EXPORT status_t FMI(DeserializeFMUState)(void *instance, const BYTE bytes[], siz
                                          void **state) {
   BEGIN(ANY);
   NEEDS(state);
-  const saved_t *own = c->own;
+  const saved_t *own = c->fmu_state;
   saved_t *s = new_saved(c->model);
   const char *wrong = NULL;
   if (!s)
@@ -373,11 +373,11 @@ EXPORT status_t FMI(DeserializeFMUState)(void *instance, const BYTE bytes[], siz
 
 /* --- Model Exchange --------------------------------------------------------------------------- */
 
-LEADS_TO(CONTINUOUS, EnterContinuousTimeMode, SYSTEM_ONLY(EVENT))
+LEADS_TO(CONTINUOUS, EnterContinuousTimeMode, EXCHANGE_ONLY(EVENT))
 
 EXPORT status_t FMI(CompletedIntegratorStep)(void *instance, BOOLEAN no_return,
                                              BOOLEAN *enter_event_mode, BOOLEAN *terminate) {
-  SYSTEM_ONLY(CONTINUOUS);
+  EXCHANGE_ONLY(CONTINUOUS);
   NEEDS(enter_event_mode && terminate);
   /* an input has jumped, which the solver's evaluations have not seen: it must restart */
   *enter_event_mode = c->changed && !c->evaluated, *terminate = 0;
@@ -387,7 +387,7 @@ EXPORT status_t FMI(CompletedIntegratorStep)(void *instance, BOOLEAN no_return,
 }
 
 EXPORT status_t FMI(SetTime)(void *instance, double time) {
-  SYSTEM_ONLY(EVENT | CONTINUOUS);
+  EXCHANGE_ONLY(EVENT | CONTINUOUS);
   if (!(fabs(time) < 1e300)) REFUSE("t = %g s is refused", time);
   set_time(c, time);
   return OK;
@@ -396,7 +396,7 @@ EXPORT status_t FMI(SetTime)(void *instance, double time) {
 /* Functions that take or give a number for each continuous state */
 #define STATE_VECTOR(name, phases, type, action)                                                   \
   EXPORT status_t FMI(name)(void *instance, type x[], size_t count) {                              \
-    SYSTEM_ONLY(phases);                                                                           \
+    EXCHANGE_ONLY(phases);                                                                         \
     if (!x || count != (size_t)c->model->n_states)                                                 \
       REFUSE("a pointer is missing, or the count is not %ld", c->model->n_states);                 \
     return action;                                                                                 \
@@ -408,7 +408,7 @@ STATE_VECTOR(GetNominalsOfContinuousStates, ANY, double,
              (memcpy(x, data_at(c->model, c->model->head->nominals), count * sizeof *x), OK))
 
 EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], size_t count) {
-  SYSTEM_ONLY(RUNNING);
+  EXCHANGE_ONLY(RUNNING);
   if (count) REFUSE("there are no event indicators");
   return OK;
 }

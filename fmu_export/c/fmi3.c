@@ -145,7 +145,7 @@ EXPORT status_t FMI(UpdateDiscreteStates)(void *instance, _Bool *again, _Bool *t
 
 #define COUNT_OF(name, found)                                                                      \
   EXPORT status_t FMI(name)(void *instance, size_t *count) {                                       \
-    SYSTEM_ONLY(ANY);                                                                              \
+    EXCHANGE_ONLY(ANY);                                                                            \
     NEEDS(count);                                                                                  \
     *count = found;                                                                                \
     return OK;                                                                                     \

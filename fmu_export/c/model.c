@@ -63,7 +63,7 @@ static const char *name_of(const model_t *m, unsigned reference) {
 static const char *token_of(const model_t *m) { return data_at(m, m->head->token); }
 
 static void read_tables(model_t *m) {
-  const written_t *row = data_at(m, m->head->tables.at);
+  const table_row_t *row = data_at(m, m->head->tables.at);
   for (long k = 0; k < m->head->tables.count; k++, row++) {
     table_t *t = m->tables + k;
     memcpy(t, row->numbers, sizeof row->numbers);
@@ -73,9 +73,9 @@ static void read_tables(model_t *m) {
 }
 
 static void read_surfaces(model_t *m) {
-  const shape_t *row = data_at(m, m->head->surfaces.at);
+  const surface_row_t *row = data_at(m, m->head->surfaces.at);
   for (long s = 0; s < m->head->surfaces.count; s++, row++) {
-    surface_t *own = m->own + s;
+    surface_t *own = m->user_surfaces + s;
     m->surfaces[s] = row->builtin < 0 ? own : builtin_surfaces + row->builtin;
     *own = (surface_t){.name = "",
                        .n_numbers = row->n_numbers,
@@ -93,7 +93,7 @@ static void read_surfaces(model_t *m) {
 
 static void free_model(model_t *m) {
   if (!m) return;
-  free(m->head), free(m->surfaces), free(m->own), free(m->tables), free(m);
+  free(m->head), free(m->surfaces), free(m->user_surfaces), free(m->tables), free(m);
 }
 
 /* Returns NULL, and in *wrong why, if there is no scene of this version. */
@@ -115,10 +115,11 @@ static model_t *read_model(const char *resources, const char **wrong) {
   m->windows = data_at(m, h->windows.at), m->n_windows = (long)h->windows.count;
   m->scene = data_at(m, h->scene.at);
   const size_t surfaces = (size_t)h->surfaces.count;
-  m->surfaces = calloc(surfaces, sizeof *m->surfaces), m->own = calloc(surfaces, sizeof *m->own);
+  m->surfaces = calloc(surfaces, sizeof *m->surfaces);
+  m->user_surfaces = calloc(surfaces, sizeof *m->user_surfaces);
   m->tables = calloc((size_t)h->tables.count, sizeof *m->tables);
   *wrong = "no memory";
-  if (!m->surfaces || !m->own || !m->tables) goto refused;
+  if (!m->surfaces || !m->user_surfaces || !m->tables) goto refused;
   read_tables(m);
   read_surfaces(m);
   for (long i = 0; i < m->n_contacts; i++) m->n_states += states_of(m, i);

@@ -37,8 +37,8 @@ typedef struct {
   section_t scene;    /* double: the engine's buffer, at the start and without windows */
   section_t values;   /* value_t: time, gain, the windows' factor, the scene's profile, others */
   section_t contacts; /* contact_t */
-  section_t surfaces; /* shape_t */
-  section_t tables;   /* written_t */
+  section_t surfaces; /* surface_row_t */
+  section_t tables;   /* table_row_t */
   section_t windows;  /* window_t */
   section_t corners;  /* double: where legs of any contact begin, ascending */
   section_t orders;   /* int64_t[2], references: the first value stays greater than the second */
@@ -89,13 +89,13 @@ typedef struct {
   int64_t builtin, tables[2 * N_TABLES];
   int32_t n_numbers, double_cover, closed, may_be_singular;
   double period_u, period_v;
-} shape_t;
+} surface_row_t;
 
 /* a table: the first numbers of table_t; places of its instructions and literals */
 typedef struct {
   int32_t numbers[8];
   int64_t prologue, body, literals;
-} written_t;
+} table_row_t;
 
 enum { TIME_VALUE, GAIN, SCALE, PROFILE };                                /* references */
 enum { CALCULATED, INDEPENDENT, CONSTANT, FIXED, TUNABLE, INPUT, EXACT }; /* kinds of values */
@@ -108,7 +108,7 @@ typedef struct {
   const window_t *windows;
   const double *scene;
   const surface_t **surfaces;
-  surface_t *own;
+  surface_t *user_surfaces;
   table_t *tables; /* of contacts, and of the user's surfaces */
   long n_contacts, n_values, n_states, n_windows;
 } model_t;

@@ -1,25 +1,25 @@
 /* Results, each group when it is asked for: from plans, or by the equations from the states. */
 
 /* Brings a group of contact i's results up to date, in c->value. */
-static status_t find(component_t *c, long i, int group) {
+static status_t refresh(component_t *c, long i, int group) {
   live_t *k = c->live + i;
-  const int system = SYSTEM(c->now);
+  const int from_states = FROM_STATES(c->now);
   if (k->valid & BIT(group)) return OK;
-  if (group == OF_RATES && !system) {
-    const status_t s = find(c, i, OF_STATES);
+  if (group == OF_RATES && !from_states) {
+    const status_t s = refresh(c, i, OF_STATES);
     if (s) return s;
   }
-  if (!system && !k->plan && plan_to(c, i, c->now->time))
+  if (!from_states && !k->plan && plan_to(c, i, c->now->time))
     return refuse_motion(c, DISCARD, i, "values", c->now->time, NULL);
-  if (system || group == OF_RATES || group == OF_CONDITION) {
-    find_system(c, i, system ? OF_RATES : group, system ? GROUPS : group + 1);
+  if (from_states || group == OF_RATES || group == OF_CONDITION) {
+    compute_from_states(c, i, from_states ? OF_RATES : group, from_states ? GROUPS : group + 1);
   } else {
     /* at a pole or an umbilic, the values of a moment before are given */
     const double t = time_on(c, i), before = t - 1e-8 * (t - c->segment[i].begin);
     if (evaluate(c, i, t, BIT(group)) && evaluate(c, i, before, BIT(group)))
       for (double *x = values_of(c, i, group); x < values_of(c, i, group + 1); x++) *x = NAN;
   }
-  k->valid |= system ? BIT(GROUPS) - 1 : BIT(group);
+  k->valid |= from_states ? BIT(GROUPS) - 1 : BIT(group);
   return OK;
 }
 
@@ -40,8 +40,9 @@ static status_t refuse(component_t *c, unsigned reference) {
                 "%s has no value at t = %.17g s, at a singular point of a chart (a pole or an "
                 "umbilic); %s",
                 what, now->time,
-                SYSTEM(now) ? "start elsewhere, or run the Co-Simulation, which passes such points"
-                            : "ask a moment later");
+                FROM_STATES(now)
+                    ? "start elsewhere, or run the Co-Simulation, which passes such points"
+                    : "ask a moment later");
 }
 
 /* Refuses the first of these values that does not exist. */
@@ -58,12 +59,12 @@ static status_t check_found(component_t *c, unsigned reference, const double *va
 
 static status_t get_values(component_t *c, unsigned reference, long count, double *value) {
   const long i = (long)c->model->values[reference].owner;
-  const int system = SYSTEM(c->now);
+  const int from_states = FROM_STATES(c->now);
   int group = OF_INPUTS;
   while (i >= 0 && (long)reference >= at_of(c->model, i, group + 1)) group++;
-  if (group >= (system ? OF_RATES : OF_STATES)) { /* other values are as they were set */
-    status_t s = system ? OK : settle(c, "values", c->now->time);
-    if (!s) s = find(c, i, group);
+  if (group >= (from_states ? OF_RATES : OF_STATES)) { /* other values are as they were set */
+    status_t s = from_states ? OK : settle(c, "values", c->now->time);
+    if (!s) s = refresh(c, i, group);
     if (s) return s;
   }
   memcpy(value, c->value + reference, (size_t)count * sizeof *value);
@@ -116,7 +117,7 @@ static void find_result_tangents(component_t *c, long i) {
 static status_t derive(component_t *c) {
   for (long i = 0; i < c->model->n_contacts; i++) {
     if (!c->live[i].derived) continue;
-    const status_t s = SYSTEM(c->now) ? OK : find(c, i, OF_STATES);
+    const status_t s = FROM_STATES(c->now) ? OK : refresh(c, i, OF_STATES);
     if (s) return s;
     add_window_tangents(c, i);
     find_result_tangents(c, i);

@@ -24,8 +24,7 @@ static double *load_surface(component_t *c, long i, int side, const table_t *t, 
 }
 
 /* Puts a frame in space onto its surface, as its start values or parameters of the surface may have
-   been set. The scene's own frame keeps its u, v and theta, others move along the gradient. Returns
-   what is wrong, or NULL. */
+   been set. The scene's own frame keeps its u, v and theta, others move along the gradient. */
 static const char *put_frame(component_t *c, long i, int side, double frame[6],
                              double (*tangents)[L]) {
   const double *starts = data_at(c->model, c->model->head->starts), *row = row_of(c->model, i);
@@ -77,7 +76,7 @@ static void find_place(component_t *c, long i, int side, const double frame[6], 
 }
 
 /* Puts those frames of contact i among these states onto their surfaces that are in space.
-   tangents: of the states, or NULL. Returns what is wrong, or NULL. */
+   tangents: of the states, or NULL. */
 static const char *put_frames(component_t *c, long i, double *states, double (*tangents)[L]) {
   const char *wrong = NULL;
   for (int side = 0; side < 2 && !wrong; side++) {

@@ -23,7 +23,7 @@ static saved_t *new_saved(const model_t *m) {
 
 /* The FMU state of an importer's handle; NULL, with a log line, if it is none of this model */
 static saved_t *saved(component_t *c, void *state) {
-  saved_t *s = state, *own = c->own;
+  saved_t *s = state, *own = c->fmu_state;
   if (s && s->mark == own->mark && s->model == own->model) return s;
   report(c, FAILED,
          "this is no FMU state, or another model's; give one that this model handed out and that "

@@ -1,7 +1,6 @@
 /* Starting, and stepping. */
 
-/* Begins the segment of contact i at its states, of which the values stay as they were set. Returns
-   what is wrong, or NULL. */
+/* Begins the segment of contact i at its states, of which the values stay as they were set. */
 static const char *place_contact(component_t *c, long i) {
   const model_t *m = c->model;
   segment_t *s = c->segment + i;

@@ -38,7 +38,7 @@ static void no_slip(const model_t *m, long i, double *x) {
 }
 
 /* Computes the results of contact i from its states: groups from `group` up to, not with, `end`. */
-static void find_system(component_t *c, long i, int group, int end) {
+static void compute_from_states(component_t *c, long i, int group, int end) {
   const model_t *m = c->model;
   const table_t *t = system_of(m, i);
   double *r;
