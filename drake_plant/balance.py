@@ -40,7 +40,7 @@ UNIT = 1e-6  # how far from 1 a normal's length may be
 LEFT = 1e-3  # least part of the wrench that an error reports as not balanced
 NONE, ROUNDING = 1e-14, 1e-6  # between these, a part of the wrench that no forces exert is rounding
 DEAR = 1e6  # cost of a wrench that is left, over that of forces, both squared and scaled to 1
-FOUND = {"contact_forces": 3, "normal_force": 1, "friction_used": 1}  # numbers of each contact
+OUTPUTS = {"contact_forces": 3, "normal_force": 1, "friction_used": 1}  # numbers of each contact
 
 
 def balancing_forces(
@@ -265,15 +265,15 @@ class ForceBalancer(LeafSystem):
         self._normals = self.DeclareVectorInputPort("normal", 3 * n)
         self._poses, self._velocities = declare_plant_inputs(self, plant, *MOTIONS)
         needs = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
-        ticket, self._found = array_entry(self._CalcFound, (n, sum(FOUND.values())), needs)
-        for name, columns in slices(FOUND).items():
+        ticket, self._outputs = array_entry(self._CalcOutputs, (n, sum(OUTPUTS.values())), needs)
+        for name, columns in slices(OUTPUTS).items():
             calc = weakly(self._CalcVector, columns)
-            self.DeclareVectorOutputPort(name, n * FOUND[name], calc, {ticket})
+            self.DeclareVectorOutputPort(name, n * OUTPUTS[name], calc, {ticket})
 
     def _CalcVector(self, columns: slice, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._found(context)[:, columns].ravel())
+        output.SetFromVector(self._outputs(context)[:, columns].ravel())
 
-    def _CalcFound(self, context: Context) -> Array:
+    def _CalcOutputs(self, context: Context) -> Array:
         X_WO = self._poses.Eval(context)[self._index]
         V_WO = self._velocities.Eval(context)[self._index].get_coeffs()
         R_WO, config = X_WO.rotation().matrix(), self._config

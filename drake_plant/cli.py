@@ -166,30 +166,30 @@ def _happened(result: SimulationResult, reports: Sequence[ContactReport]) -> Ite
 
 
 def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
-    of = partial(_of_each, reports)
+    field = partial(_of_each, reports)
     return _table(
-        ("contact", "", of("name"), "s"),
-        ("normal force", "N", of("normal_mean"), ".4f"),
-        ("normal std", "N", of("normal_deviation"), ".4f"),
-        ("off object", "s", of("off"), ".3f"),
-        ("peak friction", "N", of("friction_peak"), ".3f"),
-        ("over mu N", "", of("friction_ratio"), ".3f"),
-        ("in rolling", "N", of("rolling_friction"), ".3f"),
-        ("slip over speed", "", of("rolling_slip"), ".1e"),
-        ("distance", "mm", 1e3 * np.array(of("distance")), ".3f"),
+        ("contact", "", field("name"), "s"),
+        ("normal force", "N", field("normal_mean"), ".4f"),
+        ("normal std", "N", field("normal_deviation"), ".4f"),
+        ("off object", "s", field("off"), ".3f"),
+        ("peak friction", "N", field("friction_peak"), ".3f"),
+        ("over mu N", "", field("friction_ratio"), ".3f"),
+        ("in rolling", "N", field("rolling_friction"), ".3f"),
+        ("slip over speed", "", field("rolling_slip"), ".1e"),
+        ("distance", "mm", 1e3 * np.array(field("distance")), ".3f"),
     )
 
 
 def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
-    of = partial(_of_each, [r for r in reports if r.disturbed])
+    field = partial(_of_each, [r for r in reports if r.disturbed])
     return _table(
-        ("contact", "", of("name"), "s"),
-        ("slip disturbed", "m/s", of("disturbed_slip"), ".2e"),
-        ("greatest before", "m/s", of("slip_before"), ".2e"),
-        ("saturated", "", of("saturated"), ".0%"),
-        ("recovery", "s", of("recovery"), ".3f"),
-        ("paper", "s", of("reported"), "g"),
-        ("verdict", "", of("verdict"), "s"),
+        ("contact", "", field("name"), "s"),
+        ("slip disturbed", "m/s", field("disturbed_slip"), ".2e"),
+        ("greatest before", "m/s", field("slip_before"), ".2e"),
+        ("saturated", "", field("saturated"), ".0%"),
+        ("recovery", "s", field("recovery"), ".3f"),
+        ("paper", "s", field("reported"), "g"),
+        ("verdict", "", field("verdict"), "s"),
     )
 
 

@@ -66,14 +66,14 @@ MEASURED = {"slip": 2, "normal_force": 1, "tangential_force": 2, "state": 9, "co
 """Numbers of each contact; the first three are those of the step that ended now."""
 COLUMNS = slices(MEASURED)
 NOTHING = np.zeros(3).data
-SEEN = {"X_WO": 12, "V_WO": 6, "X_WF": 12, "V_WF": 6, "point": 3, "force": 3, "torque": 3}
+MOTION_INPUTS = {"X_WO": 12, "V_WO": 6, "X_WF": 12, "V_WF": 6, "point": 3, "force": 3, "torque": 3}
 """What Drake tells of a contact, in the world: motion of both bodies, the point C where the contact
 force on the finger acts, this force, and its torque about C."""
-PRESSED = {"at": 3, "E2": 9, "K2": 4, "K1": 4, "gap": 1}
-PRESSED |= {"point": 3, "force": 3, "torque": 3, "bends": 1}
+FORCE_INPUTS = {"at": 3, "E2": 9, "K2": 4, "K1": 4, "gap": 1}
+FORCE_INPUTS |= {"point": 3, "force": 3, "torque": 3, "k_share": 1}
 """What the forces of a contact follow from, in O where the step began: the probe's results from the
-object's point on; C, force and torque as in `SEEN`; which part of the patch follows the finger's
-curvature."""
+object's point on; C, force and torque as in `MOTION_INPUTS`; which part of the patch's curvature
+is the finger's."""
 NOISY = ("state", "sliding")
 SATURATED = 0.95
 """Friction counts as saturated from this part of mu N on, as facets make N itself ripple."""
@@ -272,8 +272,8 @@ class ContactGauges:
     def __init__(self, scene: Scene, step: float):
         self._probes = probes_of(scene, TOLERANCE)
         steps = [[step]] * len(self._probes)
-        self._motions = FingerTables(_motion(), SEEN, steps)
-        self._forces = FingerTables(_forces(), PRESSED, [[]] * len(steps))
+        self._motions = FingerTables(_motion(), MOTION_INPUTS, steps)
+        self._forces = FingerTables(_forces(), FORCE_INPUTS, [[]] * len(steps))
         self._result = np.zeros((len(steps), sum(MEASURED.values())))
         x = self._motions.x
         self._acting = [*zip(x["point"], x["force"], x["torque"])]
@@ -286,20 +286,20 @@ class ContactGauges:
     def begin(self, X_W: Any, V_W: Any, obj: int, fingers: list[int]) -> None:
         """Set the motion of the bodies, from Drake's lists of all bodies, without any contact."""
         self._motions.put(X_W, V_W, obj, fingers)
-        # of each contact: the sum of the sizes of its forces, and the means of share and bends
+        # of each contact: the sum of the sizes of its forces, and the means of share and k_share
         self._sums = [(0.0, 0.0, 0.0)] * len(self._probes)
 
     def add(
-        self, i: int, share: float, bends: float, p_WC: Array, force: Array, torque: Array | float
+        self, i: int, share: float, k_share: float, p_WC: Array, force: Array, torque: Array | float
     ) -> None:
-        """Add a patch or point pair of contact i, at C. The whole contact's C, share and bends are
-        means, weighted by the sizes of the forces.
+        """Add a patch or point pair of contact i, at C. The whole contact's C and shares are means,
+        weighted by the sizes of the forces.
 
         share : where between the surfaces of object (0) and finger (1) slip is taken
-        bends : part of the patch's curvature that is the finger's; the rest is the object's
+        k_share : part of the patch's curvature that is the finger's; the rest is the object's
         force, torque : on the finger, about C, in the world
         """
-        (at, total, turning), (pressing, taken, bent) = self._acting[i], self._sums[i]
+        (at, total, turning), (pressing, taken, curved) = self._acting[i], self._sums[i]
         size = math.hypot(*force.tolist()) + TINY  # forces of size 0 get equal weights
         part = size / (pressing + size)
         if part == 1.0:
@@ -310,25 +310,25 @@ class ContactGauges:
             turning += np.cross(arms, [total, force]).sum(0) + torque
             at += to_C
             total += force
-        shares = taken + part * (share - taken), bent + part * (bends - bent)
+        shares = taken + part * (share - taken), curved + part * (k_share - curved)
         self._sums[i] = pressing + size, *shares
 
     def measure(self) -> Array:
         """Slip, normal force, tangential force in E2, state, contact point in O: (n, 17)."""
         self._motions.run()
-        for contact, (pressing, share, bends) in zip(self._contacts, self._sums):
+        for contact, (pressing, share, k_share) in zip(self._contacts, self._sums):
             probe, calc_forces, seen, found, moved, given, forces, result = contact
             # slip and forces, where the step that ended now began
-            seen[:18], seen[18], seen[19] = moved[:18], share, 0.0
+            seen[:18], seen[18], seen[19] = moved[:18], share, 0.0  # slip follows from the twist
             if pressing:
-                probe.find(moved[21:24], moved[18:21])
+                probe.find(moved[21:24], moved[18:21])  # C in O and in F
             else:
                 probe.find(probe.approach())
             given[:21], given[21:30] = found[ON_OBJECT.start : GAP + 1], moved[21:30]
-            given[30], result[:2] = bends, found[SLIP]
+            given[30], result[:2] = k_share, found[SLIP]
             calc_forces()
             result[2:5] = forces if pressing else NOTHING
-            # where the contact is now, with the slip of the step
+            # where the contact is now, with the slip of the step as known
             seen[:18], seen[18], seen[19], seen[20:] = moved[30:48], 0.0, 1.0, result[:2]
             probe.find(found[ON_OBJECT], found[ON_FINGER])
             result[5:14], result[14:17] = found[STATES], found[ON_OBJECT]
@@ -337,12 +337,12 @@ class ContactGauges:
 
 @per_structure
 def _motion() -> Table:
-    """Table: `SEEN`; step -> X_OF (12), V_OF_O (6), C in F, C in O, force and torque in O, when the
-    step that has just ended began; X_OF, V_OF_O of now: (48).
+    """Table: `MOTION_INPUTS`; step -> X_OF (12), V_OF_O (6), C in F, C in O, force and torque in O,
+    when the step that has just ended began; X_OF, V_OF_O of now: (48).
 
     A discrete plant has moved the bodies from there with the velocities that they have now.
     """
-    (row, x), step = named(SEEN), ca.SX.sym("step")
+    (row, x), step = named(MOTION_INPUTS), ca.SX.sym("step")
     found = ca.vertcat(_in_object(x, -step), _in_object(x, ca.SX(0))[:18])
     return Table(ca.Function("motion", [row, step], [ca.densify(found)]))
 
@@ -367,14 +367,14 @@ def _moved(R: ca.SX, p: ca.SX, w: ca.SX, v: ca.SX, later: ca.SX) -> tuple[ca.SX,
 
 @per_structure
 def _forces() -> Table:
-    """Table: `PRESSED` -> normal force, tangential force in E2, (3).
+    """Table: `FORCE_INPUTS` -> normal force, tangential force in E2, (3).
 
     They are along and across the normal at the centre of pressure, to first order.
     """
-    row, x = named(PRESSED)
+    row, x = named(FORCE_INPUTS)
     E2, K2, K1 = ca.reshape(x.E2, 3, 3), ca.reshape(x.K2, 2, 2), ca.reshape(x.K1, 2, 2)
     arm, force, torque = (E2.T @ v for v in (x.point - x.at, x.force, x.torque))
-    curvature = K2 - x.bends * (K2 + K1)
+    curvature = K2 - x.k_share * (K2 + K1)
     # a force along n at r from where the torque is taken has the torque r x n
     pressing = ca.fmax(force[2], TINY)
     offset = ca.if_else(force[2] > 0, ca.vertcat(-torque[1], torque[0]) / pressing, 0)

@@ -62,8 +62,8 @@ def _with_ends(mesh: SurfaceMesh) -> tuple[Array, Triangles]:
     """Corrected points and triangles, with a fan over each end of a cylinder's side."""
     points, triangles = mesh.corrected(), mesh.triangles
     pairs = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
-    edges, of = edges_of(triangles)
-    rim = pairs[np.bincount(of.ravel())[of.ravel()] == 1]
+    edges, sides = edges_of(triangles)
+    rim = pairs[np.bincount(sides.ravel())[sides.ravel()] == 1]
     for side in (-1, 1):
         end = rim[np.sign(points[rim[:, 0], 2]) == side]
         if len(end):
@@ -78,8 +78,8 @@ def _tetrahedra(points: Array, triangles: Triangles, inner: Array, name: str) ->
     count, apex = len(inner), _apexes(points, triangles, inner)
     cells = [np.column_stack([triangles, len(points) + apex])]
     if count > 1:
-        edges, of = edges_of(triangles)
-        order = np.argsort(of.ravel(), kind="stable")
+        edges, sides = edges_of(triangles)
+        order = np.argsort(sides.ravel(), kind="stable")
         first, second = np.repeat(apex, 3)[order].reshape(-1, 2).T
         ahead = (second - first + count // 2) % count - count // 2  # steps around the ring
         for k in range(np.abs(ahead).max()):

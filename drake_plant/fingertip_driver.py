@@ -27,7 +27,7 @@ from .lifetimes import NO_DICTIONARY, weakly
 from .planner_base import MOTION
 from .plant import MOTIONS, ScenePlant, declare_plant_inputs, gravity_on
 from .scratch import FingerTables, PerThread
-from .tip_law import POINT, STIFF, driving_law, tip_constants
+from .tip_law import FREE_TIP, STIFF, driving_law, tip_constants
 
 ROUNDING = 1e-9
 """Relative error of a time that is a sum of steps."""
@@ -97,7 +97,7 @@ class FingertipDriver(LeafSystem):
         self.finger_indices = [int(body.index()) for body in fingers]
         _check(scene_plant)
         constants = [tip_constants(body, scene_plant, hold=0.0) for body in fingers]
-        self._laws = PerThread(partial(FingerTables, driving_law(), POINT, constants), {})
+        self._laws = PerThread(partial(FingerTables, driving_law(), FREE_TIP, constants), {})
         n = len(fingers)
         self._motion = self.DeclareVectorInputPort("motion", sum(MOTION.values()) * n)
         self._poses, self._velocities = declare_plant_inputs(self, plant, *MOTIONS)

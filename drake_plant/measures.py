@@ -287,9 +287,9 @@ def push_table(result: SimulationResult) -> list[PushReport]:
         stop = min((p.start for p in pushes if p.start > push.start), default=math.inf)
         seen = (result.t > push.start) & (result.t <= stop)
         if seen.any():
-            of = slice(None) if push.on == "object" else [names.index(push.on)]
-            slid = slips[seen][:, of].sum(0)
-            off, miss = away[seen][:, of].sum(0), apart[seen][:, of]
+            on = slice(None) if push.on == "object" else [names.index(push.on)]
+            slid = slips[seen][:, on].sum(0)
+            off, miss = away[seen][:, on].sum(0), apart[seen][:, on]
             found = (slid.max(), off.max(), miss.max(), miss[-1].max())
             reports.append(PushReport(push, *map(float, found)))
     return reports

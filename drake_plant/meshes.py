@@ -205,8 +205,8 @@ class SurfaceMesh:
     @property
     def closed(self) -> bool:
         """Whether every edge belongs to two triangles."""
-        edges, of = edges_of(self.triangles)
-        return bool(np.all(np.bincount(of.ravel(), minlength=len(edges)) == 2))
+        edges, sides = edges_of(self.triangles)
+        return bool(np.all(np.bincount(sides.ravel(), minlength=len(edges)) == 2))
 
     def corrected(self) -> Array:
         """Vertices moved along their normals so that the mean surface is the true one, (n, 3), m.
@@ -215,10 +215,10 @@ class SurfaceMesh:
         """
         corner, normal = self.points[self.triangles], self.normals[self.triangles]
         edge = np.roll(corner, -1, axis=1) - corner
-        bend = np.einsum("tki,tki->t", np.roll(normal, -1, axis=1) - normal, edge)
+        form = np.einsum("tki,tki->t", np.roll(normal, -1, axis=1) - normal, edge)
         area = np.linalg.norm(np.cross(edge[:, 0], edge[:, 1]), axis=1)
         at, count = self.triangles.ravel(), len(self.points)
-        moment = np.bincount(at, np.repeat(area * bend * MEAN_SAGITTA, 3), count)
+        moment = np.bincount(at, np.repeat(area * form * MEAN_SAGITTA, 3), count)
         shift = moment / np.bincount(at, np.repeat(area, 3), count)
         return self.points + shift[:, None] * self.normals
 
@@ -251,8 +251,8 @@ def contact_mesh(
         if not everywhere:
             # Beyond the strip by one triangle, as refinement splits neighbours only for conformity.
             x, n = (w[triangles] for w in domain.place(q))
-            reach = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
-            chosen = near.query(x.mean(axis=1))[0] < strip + reach
+            longest = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
+            chosen = near.query(x.mean(axis=1))[0] < strip + longest
             chosen |= np.sum(n * np.roll(n, 1, axis=1), axis=2).min(axis=1) < FLAT
         if len(triangles) + 3 * np.count_nonzero(chosen) > LARGEST:
             raise SurfaceError(
@@ -283,21 +283,21 @@ def refined(
 
     Red-green refinement: Bank, Sherman, Weiser, Scientific Computing (1983).
     """
-    edges, of = edges_of(triangles)
+    edges, sides = edges_of(triangles)
     split = np.zeros(len(edges), dtype=bool)
-    split[of[chosen]] = True
-    while np.any(twice := np.count_nonzero(split[of], axis=1) == 2):
-        split[of[twice]] = True
+    split[sides[chosen]] = True
+    while np.any(twice := np.count_nonzero(split[sides], axis=1) == 2):
+        split[sides[twice]] = True
     middle = np.full(len(edges), -1)
     middle[split] = len(q) + np.arange(np.count_nonzero(split))
     q = np.vstack([q, domain.midpoints(q[edges[split, 0]], q[edges[split, 1]])])
-    count = np.count_nonzero(split[of], axis=1)
-    (a, b, c), (ab, bc, ca_) = triangles[count == 3].T, middle[of[count == 3]].T
+    count = np.count_nonzero(split[sides], axis=1)
+    (a, b, c), (ab, bc, ca_) = triangles[count == 3].T, middle[sides[count == 3]].T
     four = [(a, ab, ca_), (ab, b, bc), (ca_, bc, c), (ab, bc, ca_)]
     # Turn triangles with one split edge so that it is their first.
-    turn = np.argmax(split[of[count == 1]], axis=1)[:, None]
+    turn = np.argmax(split[sides[count == 1]], axis=1)[:, None]
     a, b, c = np.take_along_axis(triangles[count == 1], (turn + np.arange(3)) % 3, axis=1).T
-    m = np.take_along_axis(middle[of[count == 1]], turn, axis=1)[:, 0]
+    m = np.take_along_axis(middle[sides[count == 1]], turn, axis=1)[:, 0]
     parts = [np.column_stack(w) for w in [*four, (a, m, c), (m, b, c)]]
     return q, np.vstack([triangles[count == 0], *parts])
 

@@ -37,6 +37,7 @@ NEARBY = 10 * CLEARANCE
 """Nearer than this to a chart's singularity, the end of each step is examined."""
 AS_SCENE, AS_STATE, DISTURBED = 1.0, 2.0, 3.0
 """Contacts follow the scene's plan, the plan from a state, or none, as the port disturbs them."""
+PLAN, SINCE, BEGAN, DUE, HEADER = range(5)  # places in `ContactPlanner._followed`
 RESTING = 1e-3
 """A contact up to this part of its greatest sigma counts as at rest."""
 
@@ -197,7 +198,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         self._Declare(system, system.x0, period)
         self._scratches = PerThread(partial(Scratch, system), {})
         self._exact = functools.lru_cache(maxsize=16)(partial(exact_plan, scene))
-        size = 4 + 9 * len(scene.contacts)
+        size = HEADER + 9 * len(scene.contacts)
         _, self._followed = array_entry(self._CalcFollowed, (size,), {self.nothing_ticket()})
         self.DeclareInitializationPublishEvent(weakly(self._Begin))
         self.DeclarePerStepPublishEvent(weakly(self._Watch))
@@ -205,7 +206,7 @@ class ContactPlanner(_Convertible, LeafSystem):
     def Evaluate(self, context: Any, *outputs: str) -> Array:
         found = super().Evaluate(context, *outputs)
         if not np.isfinite(found).all():
-            refuse(self.system, *self._scratches.own.given)
+            refuse(self.system, *self._scratches.own.arguments)
         return found
 
     # --- what is refused at the end of a step -----------------------------------------------------
@@ -218,18 +219,18 @@ class ContactPlanner(_Convertible, LeafSystem):
         own, t = self._scratches.own, context.get_time()
         if not own.clearance[0] > NEARBY:
             if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
-                refuse_singularity(self.system, *own.given)
+                refuse_singularity(self.system, *own.arguments)
         followed, port = self._followed(context), self._disturbance
-        if followed[0] and port is not None and port.HasValue(context):
+        if followed[PLAN] and port is not None and port.HasValue(context):
             if port.Eval(context).any():
-                followed[0] = DISTURBED
+                followed[PLAN] = DISTURBED
                 return
-            if followed[0] == DISTURBED:
-                followed[2:4] = t
+            if followed[PLAN] == DISTURBED:
+                followed[BEGAN] = followed[DUE] = t
                 self._Follow(context, self._Parts(context, "state")[0])
-        if t < followed[3]:
+        if t < followed[DUE]:
             return
-        followed[3] = t + min(t - followed[2], self.system.scene.duration / COMPARISONS)
+        followed[DUE] = t + min(t - followed[BEGAN], self.system.scene.duration / COMPARISONS)
         plan = self._Exact(context)
         if plan is not None:
             points = self._Parts(context, "contact_point")[0]
@@ -238,7 +239,7 @@ class ContactPlanner(_Convertible, LeafSystem):
     def _CalcFollowed(self, context: Any) -> Array:
         """Which plan contacts follow (`AS_SCENE`, ...; 0: no simulation has begun), and since when;
         when comparing began, and when it is due next; the state in which that plan starts."""
-        return np.zeros(4 + 9 * len(self.system.scene.contacts))
+        return np.zeros(HEADER + 9 * len(self.system.scene.contacts))
 
     def _Begin(self, context: Any) -> None:
         """Start to compare contacts with the plan from the state that the Context has."""
@@ -257,24 +258,25 @@ class ContactPlanner(_Convertible, LeafSystem):
                 "set the time to 0 (SetDefaultContext leaves it as it was), or the state of that "
                 "time by SceneSystem.from_states, or use a PlanSource"
             )
-        self._followed(context)[2:4] = t
+        self._followed(context)[[BEGAN, DUE]] = t
         state = None if t == 0.0 and as_at_0 else self._Parts(context, "state")[0]
         self._Follow(context, state)
 
     def _Follow(self, context: Any, state: Array | None) -> None:
         """Compare from now on with the plan from this state, or with that of the scene."""
         followed = self._followed(context)
-        followed[:2] = AS_SCENE if state is None else AS_STATE, context.get_time()
+        kind = AS_SCENE if state is None else AS_STATE
+        followed[[PLAN, SINCE]] = kind, context.get_time()
         if state is not None:
-            followed[4:] = state
+            followed[HEADER:] = state
 
     def _Exact(self, context: Any) -> Plan | None:
         """The plan that contacts follow; None while there is none, or where it does not exist."""
         followed, t = self._followed(context), context.get_time()
-        if followed[0] not in (AS_SCENE, AS_STATE):  # not initialized, or disturbed
+        if followed[PLAN] not in (AS_SCENE, AS_STATE):  # not initialized, or disturbed
             return None
-        state = followed[4:].tobytes() if followed[0] == AS_STATE else b""
-        plan = self._exact(float(followed[1]), state, max(t, self.system.scene.duration))
+        state = followed[HEADER:].tobytes() if followed[PLAN] == AS_STATE else b""
+        plan = self._exact(float(followed[SINCE]), state, max(t, self.system.scene.duration))
         return plan if plan is not None and plan.start <= t <= plan.end else None
 
     # --- what Drake calls ----------------------------------------------------------------------
@@ -284,7 +286,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         time, x = own.written
         time[0] = t = context.get_time()
         x[:] = context.get_continuous_state_vector().value()
-        after, before = own.same
+        after, before = own.w_valid
         if after < t < before:
             return own
         own.w[:] = self._Acting(context, *outputs)
@@ -293,7 +295,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         if self._held is self._disturbance is None:
             edges = (-math.inf, *self.system.edges, math.inf)
             k = bisect.bisect_left(edges, t)
-            own.same = (t, t) if t in edges else (edges[k - 1], edges[k])
+            own.w_valid = (t, t) if t in edges else (edges[k - 1], edges[k])
         return own
 
     def _Parts(self, context: Any, *outputs: str) -> list[Array]:
@@ -303,7 +305,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         run, guard, rate = self._Load(context, ("derivatives",)).rates
         run()
         if not guard[0] > 0.0:
-            refuse(self.system, *self._scratches.own.given)
+            refuse(self.system, *self._scratches.own.arguments)
         derivatives.SetFromVector(rate)
 
     def _Restart(self, context: Any, state: Any) -> None:

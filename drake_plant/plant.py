@@ -299,12 +299,12 @@ def _check_edges(config: StationConfig, touches: Sequence[Touch]) -> None:
         if edge is None or config.contact_model == "point":
             continue
         for i, touch in enumerate(touches):
-            bend = sum(touch.curvatures) / 2
-            if bend * edge**2 > WIDEST_GAP * depth:
+            half = sum(touch.curvatures) / 2
+            if half * edge**2 > WIDEST_GAP * depth:
                 raise SceneError(
                     f"{key} = {edge!r}: contact {i}: along such an edge bodies are up to "
-                    f"{bend * edge**2:.2g} m off each other, pressed {depth:.2g} m deep; give at "
-                    f"most {math.sqrt(WIDEST_GAP * depth / bend):.2g} m, or leave it out"
+                    f"{half * edge**2:.2g} m off each other, pressed {depth:.2g} m deep; give at "
+                    f"most {math.sqrt(WIDEST_GAP * depth / half):.2g} m, or leave it out"
                 )
 
 

@@ -205,8 +205,8 @@ def touches_of(scene: Scene) -> list[Touch]:
         normals = contact.finger.normal(*contact.finger.coordinates(at[0]))
         places = uv[known, i].T.reshape(2, 2, -1)
         forms = [body.curvature_form(*place) for body, place in zip(bodies, places)]
-        bends = [float(np.trace(form, axis1=1, axis2=2).mean() / 2) for form in forms]
-        touches.append(Touch(at, normals, bends, np.sqrt(np.linalg.det(relative))))
+        means = [float(np.trace(form, axis1=1, axis2=2).mean() / 2) for form in forms]
+        touches.append(Touch(at, normals, means, np.sqrt(np.linalg.det(relative))))
     return touches
 
 

@@ -144,8 +144,8 @@ def look_at(meshcat: Meshcat, scene: Scene, points: Array | None = None) -> Arra
     if points is not None and not scene.object.chart.central:
         middle = 0.5 * (np.nanmin(points, axis=(0, 1)) + np.nanmax(points, axis=(0, 1)))
         size = float(np.nanmax(np.linalg.norm(points - middle, axis=-1)))
-    reach = size + AROUND * max(contact.finger.size for contact in scene.contacts)
-    meshcat.SetCameraPose(reach / math.sin(SEES / 2) * VIEW, np.zeros(3))
+    distance = size + AROUND * max(contact.finger.size for contact in scene.contacts)
+    meshcat.SetCameraPose(distance / math.sin(SEES / 2) * VIEW, np.zeros(3))
     return middle
 
 

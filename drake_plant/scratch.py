@@ -23,19 +23,19 @@ class Scratch:
 
     Attributes
     ----------
-    t, x, w, held : arrays, the arguments of `SceneSystem.function` but for p; `given` is all four
-    same : w is the same at all times between these two
+    arguments : t, x, w, held, the arrays that `SceneSystem.function` takes, but for p
+    w_valid : w is the same at all times between these two
     written : t and x as memoryviews, which are written faster than arrays
     rates : run, guard and derivatives of the machine that computes derivatives
     """
 
     def __init__(self, system: SceneSystem):
         self._machine = functools.cache(functools.partial(SystemMachine, system))
-        self.same = (0.0, 0.0)
+        self.w_valid = (0.0, 0.0)
         machine = SystemMachine(system, "derivatives", "guard", "clearance")
         sizes = (1, len(system.x0), system.n_w, len(system.held0))
-        self.given = np.split(machine.point, np.cumsum(sizes)[:-1])
-        self.t, self.x, self.w, self.held = self.given
+        self.arguments = np.split(machine.point, np.cumsum(sizes)[:-1])
+        self.t, self.x, self.w, self.held = self.arguments
         self._given = machine.point
         self.x[:], self.held[:] = system.x0, system.held0
         rates, guard, clearance = machine.parts

@@ -17,7 +17,7 @@ from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
 from contact_system.checks import Array, of_kind
 
-from .balance import FOUND, ForceBalancer, pressed_config
+from .balance import OUTPUTS, ForceBalancer, pressed_config
 from .config import Push, StationConfig, body_names, check_pushes, checked
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import FingertipDriver
@@ -117,7 +117,7 @@ def build(
         wire(builder, planner, balancer, "contact_point", "normal")
         wire(builder, plant, balancer, *MOTIONS)
         wire(builder, balancer, driver, "contact_forces")
-        for name in FOUND:
+        for name in OUTPUTS:
             builder.ExportOutput(balancer.GetOutputPort(name), f"planned_{name}")
     builder.ExportInput(monitor.GetInputPort("noise"), "noise")
     if config.disturbance_input:

@@ -48,8 +48,8 @@ WANTED = {"p_WT": 3, "V_WT": 6, "A_WT": 6, "normal": 3, "turning": 3, "arm": 3}
 angular velocity; the contact point, from the tip's origin."""
 CONSTANT = {"h": 1, "mass": 1, "inertia": 9, "gravity": 3}
 CONSTANT |= dict.fromkeys((*GAINS, "slip_gain", "hold"), 1)
-POINT = {"X_WO": 12, "V_WO": 6, "A_WO": 6, **TIP, "motion": sum(MOTION.values())}
-POINT |= {"sliding": 3, "push": 3, "normal_force": 1}
+FREE_TIP = {"X_WO": 12, "V_WO": 6, "A_WO": 6, **TIP, "motion": sum(MOTION.values())}
+FREE_TIP |= {"sliding": 3, "push": 3, "normal_force": 1}
 """Inputs of the law of a free tip."""
 HELD = {**TIP, "slip": 3, **WANTED}
 """Inputs of the law of a tip on joints."""
@@ -57,8 +57,8 @@ HELD = {**TIP, "slip": 3, **WANTED}
 
 @per_structure
 def driving_law() -> Table:
-    """Table of a free tip: `POINT`, `CONSTANT` -> torque (3), force (3), in the world."""
-    point, x = named(POINT)
+    """Table of a free tip: `FREE_TIP`, `CONSTANT` -> torque (3), force (3), in the world."""
+    point, x = named(FREE_TIP)
     constant, c = named(CONSTANT)
     plan = {name: x.motion[part] for name, part in slices(MOTION).items()}
     x.R_OF, x.p_OF = ca.reshape(plan["pose"][:9], 3, 3), plan["pose"][9:]
@@ -76,11 +76,11 @@ def _want(x: SimpleNamespace, normal: ca.SX, normal_rate: ca.SX, h: ca.SX) -> No
     cross = ca.cross
     off, v, spin = x.R_WO @ x.p_OF, x.R_WO @ x.v_OF, x.R_WO @ x.w_OF
     swept = cross(x.w_WO, off)
-    bend = cross(x.w_WO, swept + 2 * v) + x.R_WO @ x.a_OF
-    turn = cross(x.w_WO, spin) + x.R_WO @ x.alpha_OF
+    a = cross(x.w_WO, swept + 2 * v) + x.R_WO @ x.a_OF  # relative to the object
+    alpha = cross(x.w_WO, spin) + x.R_WO @ x.alpha_OF
     x.p_WT, x.R_WT = x.p_WO + off, x.R_WO @ x.R_OF
-    x.v_WT, x.w_WT = x.v_WO + swept + v - 0.5 * h * bend, x.w_WO + spin - 0.5 * h * turn
-    x.a_WT, x.alpha_WT = x.a_WO + cross(x.alpha_WO, off) + bend, x.alpha_WO + turn
+    x.v_WT, x.w_WT = x.v_WO + swept + v - 0.5 * h * a, x.w_WO + spin - 0.5 * h * alpha
+    x.a_WT, x.alpha_WT = x.a_WO + cross(x.alpha_WO, off) + a, x.alpha_WO + alpha
     x.normal = x.R_WO @ normal
     x.turning = x.R_WO @ cross(normal, normal_rate) + x.w_WO - ca.dot(x.w_WO, x.normal) * x.normal
 

@@ -114,8 +114,8 @@ def _structure(
                 )
             if not before:  # an enumeration would have to be defined again: no type
                 connector = _new("Connector", name=variable, kind=kind)
-                if (of := own or types[0]) != "Enumeration":
-                    ET.SubElement(connector, f"{{{_SSC}}}{of}")
+                if (kind_of := own or types[0]) != "Enumeration":
+                    ET.SubElement(connector, f"{{{_SSC}}}{kind_of}")
                 connectors[model].append(connector)
             kinds[model, variable] = kind
             line |= {f"{side}Element": model} if model else {}
