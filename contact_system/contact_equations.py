@@ -34,13 +34,13 @@ from .theory.symbols import per_structure
 class Form(NamedTuple):
     """How the motion of one contact is written: with the surfaces, the key of its cached function.
 
-    forced: whether W_1 and V are states. ambient: whether finger and object are moved in space.
+    forced: whether W_1 and V are states. in_space: whether finger and object are moved in space.
     growths: intervals on which sigma grows, if the gain law cancels growth.
     """
 
     coordinates: str
     forced: bool
-    ambient: tuple[bool, bool]
+    in_space: tuple[bool, bool]
     law: str
     n_profile: int
     growths: tuple[tuple[float, float], ...]
@@ -50,7 +50,7 @@ class Form(NamedTuple):
         """Sizes of the parts of the state: finger, object, then psi, or W_1 and V if forced."""
         if self.coordinates == "chart":
             return 4, 4, 1
-        finger, obj = ((InSpace if ambient else InChart).size for ambient in self.ambient)
+        finger, obj = ((InSpace if space else InChart).size for space in self.in_space)
         return (finger, obj, 2, 2) if self.forced else (finger, obj)
 
     @property
@@ -62,7 +62,7 @@ class Body(NamedTuple):
     """One body of a contact; its numbers (sign and parameters), size and place are symbols."""
 
     surface: Surface
-    ambient: bool
+    in_space: bool
     numbers: ca.SX
     size: ca.SX
     place: ca.SX  # state of its moving frame
@@ -72,7 +72,7 @@ class Body(NamedTuple):
 
     def call(self, name: str, *arguments: ca.SX | float) -> ca.SX:
         """The value of a function of the moving frame (`theory.development`)."""
-        function = moving(self.surface, self.ambient)(name)
+        function = moving(self.surface, self.in_space)(name)
         return function(ca.vertcat(self.place, *arguments), self.numbers)
 
     def regularity(self) -> ca.SX:
@@ -82,7 +82,7 @@ class Body(NamedTuple):
         are regular everywhere.
         """
         surface = self.surface
-        if self.ambient or not (surface.chart.singular_at or isinstance(surface, UserSurface)):
+        if self.in_space or not (surface.chart.singular_at or isinstance(surface, UserSurface)):
             return ca.SX(1)
         least = self.call("lame")[2] / self.size
         if not surface.has_implicit:
@@ -151,14 +151,14 @@ def _frame_motion(
     states = ca.vertsplit(x, np.cumsum([0, *form.sizes]).tolist())
     # states in space are put back on the surface
     tip, body = (
-        b.at(b.at(f).call("restore") if b.ambient else f) for b, f in zip((tip, body), states)
+        b.at(b.at(f).call("restore") if b.in_space else f) for b, f in zip((tip, body), states)
     )
     offset = body.call("vector", w[4:6])
     velocities = sigma * w1, sigma * (flip() @ w1 - v) + offset
     rates = []
     for b, f, velocity in zip((tip, body), states, velocities):
         rates.append(b.call("motion", velocity))
-        if b.ambient:  # drift off the surface decays over a path as long as a radius of curvature
+        if b.in_space:  # drift off the surface decays over a path as long as a radius of curvature
             curvature = ca.sqrt(ca.sumsqr(b.call("shape")) / 2 + TINY)
             rates[-1] += sigma * curvature * (b.place - f)
     if form.forced:
@@ -189,8 +189,8 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     """
     numbers = [ca.SX.sym("p", len(s.parameters) + 1) for s in (finger, obj)]
     tip, body = (
-        Body(s, ambient, ca.vertcat(s.sign, p)[:-1], p[-1], ca.SX())
-        for s, ambient, p in zip((finger, obj), form.ambient, numbers)
+        Body(s, space, ca.vertcat(s.sign, p)[:-1], p[-1], ca.SX())
+        for s, space, p in zip((finger, obj), form.in_space, numbers)
     )
     t, x, w = ca.SX.sym("t"), ca.SX.sym("x", sum(form.sizes)), ca.SX.sym("w", 6)
     held, law = ca.SX.sym("held", form.n_held), ca.SX.sym("law", 1 + form.n_profile)

@@ -311,7 +311,7 @@ class SceneSystem:
             if form.coordinates == "chart":
                 x += _chart_state(bodies, start, sigma)
                 continue
-            x += _frames(bodies, start, form.ambient)
+            x += _frames(bodies, start, form.in_space)
             carried = self.carried(start, sigma)
             x += carried if form.forced else []
             held += [*([] if form.forced else [*carried, t - began]), *leg]
@@ -448,14 +448,14 @@ def _chart_state(bodies: Sequence[Surface], start: Start, sigma: float) -> list[
     return [*x, start.angle]
 
 
-def _frames(bodies: Sequence[Surface], start: Any, ambient: Sequence[bool]) -> list[float]:
+def _frames(bodies: Sequence[Surface], start: Any, spaces: Sequence[bool]) -> list[float]:
     """The moving frames of finger and object, x, p or u, v, theta, of a contact that starts."""
     x = list[float]()
     known = (start.finger_frame, start.object_frame) if isinstance(start, Moment) else ((), ())
     turns = -start.angle, 0.0  # psi = -theta_1 - theta_2
     places = start.finger_at, start.object_at
-    for body, at, frame, turn, in_its_space in zip(bodies, places, known, turns, ambient):
-        if not in_its_space:
+    for body, at, frame, turn, space in zip(bodies, places, known, turns, spaces):
+        if not space:
             x += [*at[:2], sum(at[2:], turn)]  # the place of a Moment is u, v, theta
         else:
             x += _turned_frame(body, frame, turn) if frame else _first_frame(body, at, turn)

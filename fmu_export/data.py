@@ -88,7 +88,7 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
     ]
     orders += [(at + 1, at) for *_, at in windows]  # stop, start
     engine = Buffer(scene.replace(disturbances=()), TOLERANCE, 0.0, None)
-    moved = [t for s in engine.surfaces for t in s.tables.ambient if t is not None]
+    moved = [t for s in engine.surfaces for t in s.tables.space if t is not None]
     registers = (t.n_regs for t in (*data.tables, *moved))
     surfaces = [_surface(surface, data) for surface in engine.surfaces]
     head = [
@@ -139,7 +139,7 @@ def _surface(surface: Surface, data: _Data) -> list[Any]:
     if surface.table_name is not None:
         place = list(SURFACES).index(surface.table_name)
         return [place, *[-1] * (2 * N_TABLES), *surface.traits]
-    tables = map(data.table, (*surface.tables.chart, *surface.tables.ambient))
+    tables = map(data.table, (*surface.tables.chart, *surface.tables.space))
     return [-1, *tables, *surface.traits]
 
 

@@ -21,13 +21,17 @@ OTHER = ("geometry", "inverse", "geodesic")
 """The tables that only Python uses, in the order of engine.h."""
 
 
+def _each(ctype: Any, names: str) -> list[tuple[str, Any]]:
+    """Fields of one type, from their names with spaces between."""
+    return [(name, ctype) for name in names.split()]
+
+
 class TableData(Structure):
     """``table_t``."""
 
     _fields_ = [
-        *((name, c_int32) for name in ("n_in", "n_const", "n_out", "n_lit")),
-        *((name, c_int32) for name in ("first_lit", "first_out", "n_regs", "twin")),
-        *((name, c_void_p) for name in ("prologue", "body", "literals")),
+        *_each(c_int32, "n_in n_const n_out n_lit first_lit first_out n_regs twin"),
+        *_each(c_void_p, "prologue body literals"),
     ]
 
     @property
@@ -40,10 +44,10 @@ class SurfaceData(Structure):
 
     _fields_ = [
         ("name", c_char_p),
-        *((name, c_int32) for name in ("n_numbers", "double_cover", "closed", "may_be_singular")),
-        *((name, c_double) for name in ("period_u", "period_v")),
+        *_each(c_int32, "n_numbers double_cover closed_form may_be_singular"),
+        *_each(c_double, "period_u period_v"),
         ("chart", c_void_p * N_TABLES),  # of ``tables``
-        ("ambient", c_void_p * N_TABLES),
+        ("space", c_void_p * N_TABLES),
         ("other", c_void_p * len(OTHER)),
     ]
 
@@ -58,8 +62,8 @@ class Followed(Structure):
     """``geodesic_t``: how geodesics of a surface are followed."""
 
     _fields_ = [
-        *((name, c_void_p) for name in ("surface", "rates", "numbers")),
-        *((name, c_double) for name in ("size", "first", "longest")),
+        *_each(c_void_p, "surface rates numbers"),
+        *_each(c_double, "size first longest"),
     ]
 
 
@@ -67,9 +71,8 @@ class Failure(Structure):
     """``failure_t``: why a call failed."""
 
     _fields_ = [
-        *((name, c_int64) for name in ("code", "contact", "side", "panels", "by_length", "pushed")),
-        *((name, c_int64) for name in ("tried", "most", "costliest")),
-        *((name, c_double) for name in ("t", "end", "value", "u", "v")),
+        *_each(c_int64, "code contact side panels by_length pushed tried most costliest"),
+        *_each(c_double, "t end value u v"),
     ]
 
 
@@ -77,15 +80,15 @@ class Fact(Structure):
     """``fact_t``: how one body was planned on one interval."""
 
     _fields_ = [
-        *((name, c_double) for name in ("start", "stop")),
-        *((name, c_int64) for name in ("side", "kind", "ambient", "by_length", "panels", "reason")),
+        *_each(c_double, "start stop"),
+        *_each(c_int64, "side kind in_space by_length panels reason"),
     ]
 
 
 class Sensor(Structure):
     """``sensor_t``: limits of Newton's method for a measured contact."""
 
-    _fields_ = [(name, c_double) for name in ("small", "most_steps", "settled", "conformal")]
+    _fields_ = _each(c_double, "small most_steps settled conformal")
 
 
 class Steered(Structure):
@@ -93,9 +96,9 @@ class Steered(Structure):
 
     _fields_ = [
         ("how", c_void_p),
-        *((name, c_double) for name in ("gauss", "normal_curvature")),
+        *_each(c_double, "gauss normal_curvature"),
         ("start", c_double * 9),
-        *((name, c_double * 3) for name in ("place", "goal")),
+        *_each(c_double * 3, "place goal"),
         ("within", c_double * 4),
         ("wanted", c_int64),
     ]
@@ -106,11 +109,11 @@ class Steer(Structure):
 
     _fields_ = [
         ("body", Steered * 2),
-        *((name, c_double) for name in ("psi", "w_angle", "w_length", "unit")),
+        *_each(c_double, "psi w_angle w_length unit"),
         ("rotation", c_double * 9),
         ("origin", c_double * 3),
-        *((name, c_double) for name in ("size", "longest", "tolerance", "reached")),
-        *((name, c_int64) for name in ("has_rotation", "is_pose", "parts")),
+        *_each(c_double, "size longest tolerance reached"),
+        *_each(c_int64, "has_rotation is_pose parts"),
     ]
 
 
@@ -179,11 +182,11 @@ LAYOUT = tuple((c_int32 * 4).in_dll(_LIBRARY, "contact_layout"))
 
 def builtin_tables(data: SurfaceData) -> SimpleNamespace:
     """The tables of a bundled surface, with the attributes of `lowering.SurfaceTables`."""
-    chart, ambient, other = (
+    chart, space, other = (
         [None if at is None else TableData.from_address(at) for at in addresses]
-        for addresses in (data.chart, data.ambient, data.other)
+        for addresses in (data.chart, data.space, data.other)
     )
-    return SimpleNamespace(chart=chart, ambient=ambient, **dict(zip(OTHER, other)))
+    return SimpleNamespace(chart=chart, space=space, **dict(zip(OTHER, other)))
 
 
 _COUNT = c_int32.in_dll(_LIBRARY, "n_builtin_surfaces").value

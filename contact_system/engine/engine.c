@@ -127,7 +127,7 @@ static int64_t facts(const plan_t *plan, int64_t contact, int64_t room, fact_t *
                           .stop = k->stop,
                           .side = s,
                           .kind = k->kind,
-                          .ambient = k->ambient,
+                          .in_space = k->in_space,
                           .by_length = k->by_length,
                           .panels = k->panels.n,
                           .reason = k->reason};

@@ -40,7 +40,7 @@ enum { NO_CLOSED_FORM, GREAT_CIRCLES, DEVELOPABLE };
 
 typedef struct {
   const char *name;
-  int32_t n_numbers, double_cover, closed;
+  int32_t n_numbers, double_cover, closed_form;
   int32_t may_be_singular;   /* a user's chart, whose singular points are unknown */
   double period_u, period_v; /* 0: not periodic */
   const table_t *tables[2][N_TABLES], *other[N_OTHER];
@@ -144,7 +144,7 @@ enum {
 };
 typedef struct {
   double start, stop;
-  int64_t side, kind, ambient, by_length, panels, reason;
+  int64_t side, kind, in_space, by_length, panels, reason;
 } fact_t;
 
 typedef struct plan plan_t;

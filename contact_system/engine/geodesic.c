@@ -15,8 +15,8 @@ static const double LEAST_STEP = 1e-15, JUMP = 1e-8, BRIEF = 1e-6, EASY = 1e-3;
 typedef struct {
   const geodesic_t *how;
   unit_t rates, restore, frame, lame;
-  int space, state, rows; /* numbers of a state, without and with Jacobi fields */
-  int lost[L];            /* lanes that cannot be followed */
+  int in_space, state, rows; /* numbers of a state, without and with Jacobi fields */
+  int lost[L];               /* lanes that cannot be followed */
   double length[L], tolerance;
   double y[MOST_ROWS][L], next[MOST_ROWS][L], k[STAGES][MOST_ROWS][L], unit[MOST_ROWS][L];
   double before[SHOWN][L], shown[SHOWN][L];
@@ -55,7 +55,7 @@ static void combine_stages(const lines_t *g, const double *a, int n, double h, i
 static void find_units(lines_t *g) {
   const double size = g->how->size;
   const double fields[FIELDS] = {size, 1.0, 1.0, 1.0 / size};
-  if (g->space)
+  if (g->in_space)
     for (int r = 0; r < 6; r++) fill_lanes(g->unit[r], r < 3 ? size : 1.0);
   else {
     copy_rows(g->lame.r, g->y, g->state);
@@ -90,7 +90,7 @@ static void try_step(lines_t *g, double h, double *error) {
 
 /* x p q J J' M M' of g->y */
 static void show(lines_t *g) {
-  const int known = g->space ? 6 : 0;
+  const int known = g->in_space ? 6 : 0;
   copy_rows(g->shown, g->y, known);
   copy_rows(g->frame.r, g->y, g->state);
   copy_rows(g->shown + known, run(&g->frame), 9 - known);
@@ -158,7 +158,7 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
       continue;
     }
     copy_rows(g->y, g->next, g->rows);
-    if (g->space) {
+    if (g->in_space) {
       copy_rows(g->restore.r, g->y, 6);
       copy_rows(g->y, run(&g->restore), 6);
     }
@@ -173,12 +173,13 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
 
 /* Returns 0 if there is no memory. */
 static int load_lines(lines_t *g, const geodesic_t *how) {
-  g->how = how, g->space = moves_in_space(how->surface);
-  g->state = state_size(g->space), g->rows = g->state + FIELDS;
-  const table_t *const *tables = how->surface->tables[g->space];
+  g->how = how, g->in_space = moves_in_space(how->surface);
+  g->state = state_size(g->in_space), g->rows = g->state + FIELDS;
+  const table_t *const *tables = how->surface->tables[g->in_space];
   const double *numbers = how->numbers;
-  return load(&g->frame, tables[g->space ? A_SECOND : C_FRAME], numbers) &&
-         load(g->space ? &g->restore : &g->lame, tables[g->space ? A_RESTORE : C_LAME], numbers) &&
+  return load(&g->frame, tables[g->in_space ? A_SECOND : C_FRAME], numbers) &&
+         load(g->in_space ? &g->restore : &g->lame, tables[g->in_space ? A_RESTORE : C_LAME],
+              numbers) &&
          load(&g->rates, how->rates, numbers);
 }
 

@@ -36,9 +36,9 @@ typedef struct {
   double allowed;                  /* error of the panel */
 } nodes_t;
 
-static unit_t *table_of(work_t *w, const body_t *b, int ambient, int table) {
-  unit_t *u = &w->body[b->side][ambient][table];
-  if (!load(u, b->surface->tables[ambient][table], b->numbers)) fail(w, NO_MEMORY);
+static unit_t *table_of(work_t *w, const body_t *b, int in_space, int table) {
+  unit_t *u = &w->body[b->side][in_space][table];
+  if (!load(u, b->surface->tables[in_space][table], b->numbers)) fail(w, NO_MEMORY);
   return u;
 }
 
@@ -61,21 +61,21 @@ static void run_one(work_t *w, const table_t *t, const double *constants, const 
 }
 
 static int moves_in_space(const surface_t *s) { return s->tables[IN_SPACE][M_MOTION] != NULL; }
-static int state_size(int ambient) { return ambient ? 6 : 3; }
+static int state_size(int in_space) { return in_space ? 6 : 3; }
 
 /* ---- right-hand sides ---- */
 
 /* A table of a track's body, with states in its registers */
 static unit_t *table_at(work_t *w, const track_t *k, int table, const double (*state)[L]) {
-  unit_t *u = table_of(w, k->body, k->ambient, table);
-  copy_rows(u->r, state, state_size(k->ambient));
+  unit_t *u = table_of(w, k->body, k->in_space, table);
+  copy_rows(u->r, state, state_size(k->in_space));
   return u;
 }
 
 /* Chart components d to the parallel frame, Rot(theta)^T M d */
 static lanes_t to_parallel(work_t *w, const track_t *k, const double (*state)[L], const double *d) {
   unit_t *u = table_at(w, k, M_VECTOR, state);
-  const int n = state_size(k->ambient);
+  const int n = state_size(k->in_space);
   fill_lanes(u->r[n], d[0]), fill_lanes(u->r[n + 1], d[1]);
   return run(u);
 }
@@ -103,7 +103,7 @@ static void follow_finger(work_t *w, const motion_t *m, const double *t, nodes_t
     fill_lanes(at->pushed_1[a], 0.0), fill_lanes(at->w2[a], m->track->w[a]);
   if (!k) return;
   panels_at(&k->panels, 0, k->panels.rows, t, x);
-  to_object(m->r0, x + state_size(k->ambient), at->w2);
+  to_object(m->r0, x + state_size(k->in_space), at->w2);
   copy_rows(at->pushed_1, to_parallel(w, k, x, k->push), 2);
 }
 
@@ -124,7 +124,7 @@ static void fill_nodes(work_t *w, const motion_t *m, const double *t, nodes_t *a
 }
 
 static unit_t *motion_table(work_t *w, const motion_t *m) {
-  return table_of(w, m->track->body, m->track->ambient, M_MOTION);
+  return table_of(w, m->track->body, m->track->in_space, M_MOTION);
 }
 
 /* c = sigma (W - V), and what a rate offset adds, moves the body; accelerations change W_1 and V.
@@ -137,7 +137,7 @@ static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x,
     EACH_LANE(i) f[0][i] = sigma[i] * at->decay[i];
     return f;
   }
-  const int n = state_size(k->ambient);
+  const int n = state_size(k->in_space);
   unit_t *u = motion_table(w, m);
   lanes_t own = x + n, c = u->r + n; /* W_1 of a finger or V of an object under accelerations */
   for (int a = 0; a < 2; a++) {
@@ -177,8 +177,8 @@ static void restore_body(work_t *w, const body_t *b, double *state) {
 /* 1/(unit of each state): the body's size for positions, 1 for angles and directions, and for
    coordinates the size over their Lame coefficients. One that vanishes, at a pole, counts as a
    hundredth of the size or, on users' charts, whose units may be any, of the other coefficient. */
-static void scales(work_t *w, int ambient, const body_t *b, const double *state, double *scale) {
-  if (ambient) {
+static void scales(work_t *w, int in_space, const body_t *b, const double *state, double *scale) {
+  if (in_space) {
     for (int j = 0; j < 6; j++) scale[j] = j < 3 ? 1.0 / b->size : 1.0;
     return;
   }
@@ -339,7 +339,7 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
     for (int a = 0; a < 2; a++) reached[n + a] = dot(gauss_last, x[n + a]);
   }
   memcpy(end, reached, (size_t)m->n * sizeof *reached);
-  if (k->body && k->ambient) restore_body(w, k->body, end);
+  if (k->body && k->in_space) restore_body(w, k->body, end);
   /* how far (x, p) is from the surface is another estimate of the error */
   double back = 0.0, none = 0.0; /* fmax drops a NaN */
   for (int64_t r = 0; r < m->n; r++) {
@@ -355,8 +355,8 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
 static int may_jump(const motion_t *m) {
   const track_t *k = m->track;
   if (!k->body) return 0;
-  if (m->finger && m->finger->ambient && any(m->finger->push)) return 1;
-  return k->body->panel_limit < HUGE_VAL || (k->ambient && (any(k->offset) || any(k->push)));
+  if (m->finger && m->finger->in_space && any(m->finger->push)) return 1;
+  return k->body->panel_limit < HUGE_VAL || (k->in_space && (any(k->offset) || any(k->push)));
 }
 
 /* Whether a panel's series fall as slowly as 1/k^2 or 1/k^3, since rates or their slopes jump
@@ -472,7 +472,7 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   e->value = k->by_length ? 1.0 : sigma_at(k->drive, s->tau);
   if (k->body) {
     double place[5] = {m->state[0], m->state[1]};
-    if (k->ambient)
+    if (k->in_space)
       run_one(w, k->body->surface->tables[IN_SPACE][M_COORDINATES], k->body->numbers, m->state,
               place);
     e->u = place[0], e->v = place[1];

@@ -80,9 +80,9 @@ static const double LOST = 1e-12;
 static void find_coordinates(work_t *w, side_t *a, const double *x, const double *turns, int n) {
   const track_t *k = a->track;
   unit_t *u = table_at(w, k, M_COORDINATES, a->state);
-  copy_rows(u->r + state_size(k->ambient), a->velocity, 2);
+  copy_rows(u->r + state_size(k->in_space), a->velocity, 2);
   copy_rows(a->coordinates, run(u), N_COORDINATES);
-  if (k->ambient) {
+  if (k->in_space) {
     wind_all(w, k, x, turns, a->coordinates, n);
     const lanes_t z = a->coordinates, v = a->velocity;
     const double lost = LOST * LOST * k->body->size * k->body->size;
@@ -104,7 +104,7 @@ static void sample_body(work_t *w, sample_t *m, int s, int n, int needs) {
   if (!(needs || any(k->offset))) return;
   for (int i = 0; i < L; i++) tau[i] = m->t[i] - k->drive->start;
   path_variable(k, tau, x, turns);
-  const int rows = needs == NEED_POINT && !any(k->offset) ? 3 : state_size(k->ambient);
+  const int rows = needs == NEED_POINT && !any(k->offset) ? 3 : state_size(k->in_space);
   state_at(k, tau, x, rows, a->state);
   if (needs & (NEED_COORDINATES | NEED_VELOCITY))
     for (int j = 0; j < 2; j++)
@@ -116,12 +116,12 @@ static void sample_body(work_t *w, sample_t *m, int s, int n, int needs) {
     line_at(k, tau, 1, far);
     state = far;
   }
-  if (k->ambient) copy_rows(a->frame, state, needs & NEED_FRAME ? 6 : 3);
-  if (needs & NEED_FRAME && k->ambient)
+  if (k->in_space) copy_rows(a->frame, state, needs & NEED_FRAME ? 6 : 3);
+  if (needs & NEED_FRAME && k->in_space)
     copy_rows(a->frame + 6, run(table_at(w, k, A_SECOND, state)), 3);
   else if (needs & NEED_FRAME)
     copy_rows(a->frame, run(table_at(w, k, C_FRAME, state)), 9);
-  else if (needs & NEED_POINT && !k->ambient)
+  else if (needs & NEED_POINT && !k->in_space)
     copy_rows(a->frame, run(table_at(w, k, C_POINT, state)), 3);
   if (needs & NEED_SHAPE) copy_rows(a->shape, run(table_at(w, k, M_SHAPE, state)), 3);
   if (any(k->offset)) {
@@ -365,14 +365,14 @@ static const double *start_place(const contact_t *c, int side) {
    whatever the track's own form is */
 static void usual_state(work_t *w, const track_t *k, double t, double *state) {
   const body_t *b = k->body;
-  const int n = state_size(k->ambient);
+  const int n = state_size(k->in_space);
   double tau[L], x[L], turns[L], found[6][L];
   fill_lanes(tau, t - k->drive->start);
   path_variable(k, tau, x, turns);
   state_at(k, tau, x, n, found);
   for (int j = 0; j < n; j++) state[j] = found[j][0];
   if (!moves_in_space(b->surface)) return;
-  if (!k->ambient) run_one(w, b->surface->tables[IN_SPACE][A_START], b->numbers, state, state);
+  if (!k->in_space) run_one(w, b->surface->tables[IN_SPACE][A_START], b->numbers, state, state);
   restore_body(w, b, state);
 }
 
@@ -399,13 +399,13 @@ static int find_place(work_t *w, const contact_t *c, const track_t *k, double t,
 static void anchor_side(work_t *w, contact_t *c, int side, int64_t n) {
   double place[3];
   int64_t known = 0;
-  while (known < n && (!c->tracks[side][known].ambient || c->tracks[side][known].n_anchors))
+  while (known < n && (!c->tracks[side][known].in_space || c->tracks[side][known].n_anchors))
     known++;
   if (known == n) return;
   memcpy(place, start_place(c, side), sizeof place);
   for (int64_t i = 0; i < n; i++) {
     track_t *k = c->tracks[side] + i;
-    if (k->ambient && !k->n_anchors) anchor_track(w, k, place);
+    if (k->in_space && !k->n_anchors) anchor_track(w, k, place);
     if (i + 1 < n) {
       double found[3];
       if (!find_place(w, c, k, k->stop, found)) memcpy(place, found, sizeof place);

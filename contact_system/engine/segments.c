@@ -31,7 +31,7 @@ static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, 
   track_t *k = c->contact->tracks[side] + n;
   c->contact->track_edges[side][n] = d->start, c->contact->track_edges[side][n + 1] = HUGE_VAL;
   k->body = &c->contact->body[side], k->drive = d, k->stop = stop, k->reason = reason;
-  k->ambient = moves_in_space(k->body->surface), k->push = k->offset = UNDISTURBED;
+  k->in_space = moves_in_space(k->body->surface), k->push = k->offset = UNDISTURBED;
   memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
   return k;
 }
@@ -58,8 +58,8 @@ static void state_of(course_t *c, int side, double *state) {
 }
 
 /* The same in space or in the chart */
-static void in_form(course_t *c, int side, int ambient, double *state) {
-  if (moves_in_space(c->contact->body[side].surface) == ambient)
+static void in_form(course_t *c, int side, int in_space, double *state) {
+  if (moves_in_space(c->contact->body[side].surface) == in_space)
     state_of(c, side, state);
   else if (c->contact->n_tracks[side] == 0)
     memcpy(state, start_place(c->contact, side), 3 * sizeof *state);
@@ -75,12 +75,12 @@ static motion_t add_motion(course_t *c, int side, const drive_t *d, int reason, 
                            const double *offset) {
   const body_t *b = &c->contact->body[side];
   const int by_branch = b->surface->double_cover && (any(push) || any(offset));
-  const int ambient = moves_in_space(b->surface) && !by_branch;
-  motion_t m = {.n = state_size(ambient), .r0 = c->contact->r0, .panel_limit = b->panel_limit};
-  in_form(c, side, ambient, m.state);
-  scales(c->w, ambient, b, m.state, m.scale);
+  const int in_space = moves_in_space(b->surface) && !by_branch;
+  motion_t m = {.n = state_size(in_space), .r0 = c->contact->r0, .panel_limit = b->panel_limit};
+  in_form(c, side, in_space, m.state);
+  scales(c->w, in_space, b, m.state, m.scale);
   m.track = add_track(c, side, d, d->stop, reason), m.length = d->stop - d->start;
-  m.track->kind = PANELS, m.track->ambient = ambient;
+  m.track->kind = PANELS, m.track->in_space = in_space;
   m.track->push = push, m.track->offset = offset;
   return m;
 }
@@ -109,12 +109,13 @@ static double first_length(const body_t *b) { return FIRST * sqrt(b->least_radiu
 static void add_geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
   const body_t *b = &c->contact->body[side];
   /* with imposed rolling, that the finger's curve is a geodesic is a result, not an assumption */
-  const int closed = reason == FOLLOWING && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
-  if (closed != NO_CLOSED_FORM) {
+  const int closed_form =
+      reason == FOLLOWING && side == 0 ? NO_CLOSED_FORM : b->surface->closed_form;
+  if (closed_form != NO_CLOSED_FORM) {
     double state[6];
     state_of(c, side, state);
     track_t *k = add_track(c, side, drive, stop, reason);
-    (closed == GREAT_CIRCLES ? lay_circle : lay_line)(c->w, state, k);
+    (closed_form == GREAT_CIRCLES ? lay_circle : lay_line)(c->w, state, k);
     return;
   }
   motion_t m = add_motion(c, side, drive, reason, UNDISTURBED, UNDISTURBED);
@@ -182,7 +183,7 @@ static double free_object(course_t *c, const segment_t *s, double stop) {
   const double negligible =
       NEGLIGIBLE_PART * b->size * d->per_metre * c->w->plan->scene[S_TOLERANCE];
   double reached = d->stop;
-  if (b->surface->closed == DEVELOPABLE && (slip > 0 || any(offset)))
+  if (b->surface->closed_form == DEVELOPABLE && (slip > 0 || any(offset)))
     add_line(c, d, offset, slip > ROUNDING * b->size * d->per_metre);
   else if (slip == 0 && !any(offset))
     add_geodesic(c, 1, d, reached = stop, c->contact->row[K_FOLLOWS] > 0 ? FOLLOWING : NO_SLIP);

@@ -44,6 +44,6 @@ static void check_part(work_t *w, const track_t *k, int64_t panel, double low, d
 
 static void require_regular(work_t *w, const track_t *k) {
   double before[3] = {0.0};
-  if (k->ambient || !k->body->surface->may_be_singular) return;
+  if (k->in_space || !k->body->surface->may_be_singular) return;
   for (int64_t p = 0; p < k->panels.n; p++) check_part(w, k, p, -1.0, 1.0, before);
 }

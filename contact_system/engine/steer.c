@@ -60,7 +60,7 @@ static void turn_path(rolled_t *r, int n, const double *turn) {
   sincos_of(turn, s, c, L);
   turn_rows(r->at + 3, r->at + 6, 3, c, s);
   turn_rows(r->ahead, r->aside, n, c, s);
-  if (r->lines.space)
+  if (r->lines.in_space)
     memcpy(r->lines.y + 3, r->at + 3, 3 * sizeof *r->at);
   else
     for (int l = 0; l < L; l++) r->lines.y[2][l] += turn[l];
@@ -133,7 +133,7 @@ static void start_path(rolled_t *r) {
   memset(g->lost, 0, sizeof g->lost);
   memset(r->ahead, 0, sizeof r->ahead), memset(r->aside, 0, sizeof r->aside);
   memset(r->turns, 0, sizeof r->turns);
-  if (g->space)
+  if (g->in_space)
     memcpy(g->y, r->at, 6 * sizeof *r->at);
   else
     for (int i = 0; i < 3; i++) fill_lanes(g->y[i], r->body->place[i]);

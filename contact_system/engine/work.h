@@ -40,7 +40,7 @@ typedef struct {
   const body_t *body;
   double stop; /* s; it starts where its drive does */
   int64_t kind, by_length, reason;
-  int ambient; /* moved in space, not in the chart */
+  int in_space; /* else in the chart */
   const drive_t *drive;
   double w[2];                 /* W_1 or W_2 */
   const double *push, *offset; /* in chart components */
@@ -99,7 +99,7 @@ struct work {
   jmp_buf jump;
   failure_t *failure;
   plan_t *plan;
-  unit_t body[2][2][N_TABLES]; /* side, ambient or not, table */
+  unit_t body[2][2][N_TABLES]; /* side, in the chart or in space, table */
   unit_t pair[N_CONTACT_TABLES];
   room_t one;              /* registers of tables that run at one point */
   room_t edges, series;    /* of the motion that is being integrated */

@@ -47,7 +47,7 @@ def _of_contact(scene: Scene, contact: int, facts: Sequence[Fact]) -> list[str]:
 
 
 def _method(f: Fact) -> str:
-    place = "space" if f.ambient else "its chart"
+    place = "space" if f.in_space else "its chart"
     panels = f"{f.panels} panel{'s' * (f.panels > 1)}"
     if f.kind == CIRCLE:
         return "closed form: great circle"

@@ -112,8 +112,8 @@ class Surface:
     def traits(self) -> list[float]:
         """The fields of the engine's ``surface_t`` between its name and its tables."""
         chart = self.chart
-        closed = 1 if chart.great_circles else 2 if chart.developable else 0
-        sizes = len(self.numbers), int(chart.double_cover), closed, int(not self.has_implicit)
+        closed_form = 1 if chart.great_circles else 2 if chart.developable else 0
+        sizes = len(self.numbers), int(chart.double_cover), closed_form, int(not self.has_implicit)
         return [*sizes, *(period or 0.0 for period in self.periods())]
 
     @property
@@ -124,7 +124,7 @@ class Surface:
     @cached_property
     def _own_data(self) -> SurfaceData:
         made = SurfaceData(b"", *self.traits)
-        for group in ("ambient", "chart"):
+        for group in ("space", "chart"):
             for k, table in enumerate(getattr(self.tables, group)):
                 getattr(made, group)[k] = table and table.address
         return made
@@ -376,7 +376,7 @@ class Surface:
 
 def run_in_space(surface: Surface, name: str, *rows: ArrayLike) -> Array:
     """Run a table of `development.IN_SPACE` at inputs in columns, given by their rows."""
-    return run(surface.tables.ambient[IN_SPACE.index(name)], np.vstack(rows), surface.numbers)
+    return run(surface.tables.space[IN_SPACE.index(name)], np.vstack(rows), surface.numbers)
 
 
 def store(surface: Surface, **values: Any) -> None:

@@ -206,6 +206,6 @@ class InChart(Moving):
 
 
 @per_structure
-def moving(surface: Surface, ambient: bool) -> Moving:
+def moving(surface: Surface, space: bool) -> Moving:
     """The moving frame of surfaces of one structure, in space or in their chart."""
-    return (InSpace if ambient else InChart)(surface)
+    return (InSpace if space else InChart)(surface)

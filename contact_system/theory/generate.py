@@ -82,7 +82,7 @@ class Writer:
             return "&" + self._named("table_t {}", "table", self.table(table, hot))
 
         made = lowered(surface)
-        tables = [[pointer(table, True) for table in group] for group in (made.chart, made.ambient)]
+        tables = [[pointer(table, True) for table in group] for group in (made.chart, made.space)]
         other = [pointer(getattr(made, name), name == "geodesic") for name in OTHER]
         return [f'"{surface.table_name}"', *surface.traits, tables, other]
 

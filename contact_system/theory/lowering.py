@@ -317,7 +317,7 @@ class SurfaceTables:
         self.surface = surface
 
     @cached_property
-    def ambient(self) -> tuple[Table | None, ...]:
+    def space(self) -> tuple[Table | None, ...]:
         """State x, p: `development.IN_SPACE`."""
         return self._moving(in_space(self.surface), True, IN_SPACE)
 
@@ -327,10 +327,10 @@ class SurfaceTables:
         wanted = self.surface.chart.double_cover or not in_space(self.surface)
         return self._moving(wanted, False, IN_CHART)
 
-    def _moving(self, wanted: bool, ambient: bool, names: Sequence[str]) -> tuple[Any, ...]:
+    def _moving(self, wanted: bool, space: bool, names: Sequence[str]) -> tuple[Any, ...]:
         if not wanted:
             return (None,) * len(names)
-        body, missing = moving(self.surface, ambient), () if self.surface.has_chart else ("start",)
+        body, missing = moving(self.surface, space), () if self.surface.has_chart else ("start",)
         return tuple(None if name in missing else Table(body(name)) for name in names)
 
     @cached_property

@@ -80,7 +80,7 @@ static void read_surfaces(model_t *m) {
     *own = (surface_t){.name = "",
                        .n_numbers = row->n_numbers,
                        .double_cover = row->double_cover,
-                       .closed = row->closed,
+                       .closed_form = row->closed_form,
                        .may_be_singular = row->may_be_singular,
                        .period_u = row->period_u,
                        .period_v = row->period_v};

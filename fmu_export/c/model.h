@@ -87,7 +87,7 @@ typedef struct {
 /* a surface: its number in the engine, or -1; its tables, -1: none; the rest of surface_t */
 typedef struct {
   int64_t builtin, tables[2 * N_TABLES];
-  int32_t n_numbers, double_cover, closed, may_be_singular;
+  int32_t n_numbers, double_cover, closed_form, may_be_singular;
   double period_u, period_v;
 } surface_row_t;
 
