@@ -38,8 +38,8 @@ NOISE = 1e-2  # by which a measured rotation matrix may differ from a rotation
 NEARBY = 0.02  # fraction of the body's size; contacts move less between two measurements
 GRID = 25  # points in each coordinate of a finger, of which the one nearest to the object is taken
 LONGEST_STEP = 0.5  # of Newton's method, over a curved body's size, as bodies may be far apart
-SEEN = 22  # numbers of a measurement
-# columns of `Probe.found`: the results of `measured_contact` after the next unknowns
+SEEN = 22  # numbers of `Probe.seen`
+# columns of `Probe.found`, the results of `measured_contact` after the next unknowns; FOUND: all
 STEP, RELATIVE, STATES, SLIP, ON_FINGER = 0, 1, slice(2, 11), slice(11, 13), slice(13, 16)
 ON_OBJECT, FRAME, NORMAL, GAP, FOUND = slice(16, 19), slice(19, 28), slice(25, 28), 36, 37
 
@@ -80,8 +80,8 @@ def measured_states(
     """
     require_scene(scene)
     poses = _given(scene, "pose", pose, (4, 4))
-    for i, one in enumerate(poses):
-        rigid_motion(one, f"{scene.title}, contact {i}: pose", NOISE, ContactSystemError)
+    for i, pose_i in enumerate(poses):
+        rigid_motion(pose_i, f"{scene.title}, contact {i}: pose", NOISE, ContactSystemError)
     others = _given(scene, "twist", twist, (6,)), _given(scene, "points", points, (3,))
     states = []
     for i, (probe, pose_i, twist_i, point) in enumerate(zip(probes_of(scene), poses, *others)):
@@ -282,8 +282,7 @@ def measured_contact(finger: Surface, obj: Surface) -> list[ca.SX]:
     point: unknowns of finger and object, X_OF (12, row by row), V_OF_O (6), place of slip, whether
     slip is known, known slip (2).
     constants: sign, parameters and size of the finger, and of the object.
-    results: next unknowns, length of the step, det of the relative curvature over its square,
-    states (9), slip (2), x_1, x_2 (6), E2 (9), K_2, K_1 in E2 (8), gap; M_1, M_2 (8).
+    results: next unknowns; the numbers of `Probe.found`; M_1, M_2 (8).
     """
     pose, twist, share = ca.SX.sym("pose", 12), ca.SX.sym("twist", 6), ca.SX.sym("share")
     is_known, known = ca.SX.sym("is_known"), ca.SX.sym("known", 2)
@@ -297,8 +296,8 @@ def measured_contact(finger: Surface, obj: Surface) -> list[ca.SX]:
     step_1, step_2 = _newton_step(tip, body, turn, between, map_21)
     # rates from the twist, as of touching bodies
     at = body.x + share * between
-    seen = -body.tangents.T @ (twist[3:] + ca.cross(twist[:3], at - origin))
-    slip = ca.if_else(is_known, known, seen)
+    of_twist = -body.tangents.T @ (twist[3:] + ca.cross(twist[:3], at - origin))
+    slip = ca.if_else(is_known, known, of_twist)
     omega = tip.tangents.T @ (turn.T @ twist[:3])
     rolling = ca.vertcat(-omega[1], omega[0])
     a1, a2 = contact_velocities(tip.curvature, body.curvature, map_21, rolling, slip)

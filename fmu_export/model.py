@@ -90,8 +90,7 @@ def measured(finger: Surface, obj: Surface, what: str) -> Table:
     point: the measured states (9); or for a pose, the unknowns of finger and object, V_OF_O (6),
     and X_OF, the rotation row by row (9) and the position (3).
     constants: sign, parameters and size of the finger, and of the object.
-    result: the next unknowns, length of the step, det of the relative curvature over its square,
-    states (9), the metric roots (4 + 4).
+    result: the next unknowns, the first numbers of `Probe.found` up to the states, M_1, M_2 (8).
     """
     if what == "states":
         point = ca.SX.sym("states", 9)
@@ -102,9 +101,9 @@ def measured(finger: Surface, obj: Surface, what: str) -> Table:
             roots.append(ca.vec(s.geometry_expr(numbers, uv).metric_root))
         given, result = ca.vertcat(*constants), ca.vertcat(0, 1, point, *roots)
     else:
-        seen, given, *results = measured_contact(finger, obj)
-        ends = (seen.numel() - k for k in (22, 10, 4, 0))
-        unknowns, pose, twist, others = ca.vertsplit(seen, [0, *ends])
+        measurement, given, *results = measured_contact(finger, obj)
+        ends = (measurement.numel() - k for k in (22, 10, 4, 0))
+        unknowns, pose, twist, others = ca.vertsplit(measurement, [0, *ends])
         point = ca.vertcat(unknowns, twist, *(pose[k : k + 3] for k in (0, 4, 8)), pose[3::4])
         # slip is at the object's surface, and not known
         result = ca.substitute(ca.vertcat(*results[:4], results[-1]), others, 0)

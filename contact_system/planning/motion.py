@@ -113,9 +113,9 @@ class Buffer:
             frame_1, frame_2 = frames or solved.get(i, ((), ()))
             flags = (isinstance(start, Moment), contact.follows, index, len(own))
             place = (*finger_at, *theta, *object_at, *theta, angle, *w1, *w2_or_v)
-            both = *(frame_1 or _NO_FRAME), *(frame_2 or _NO_FRAME)
             finger = self._body(contact.finger)
-            rows.append(_ROW(*finger, *flags, *legs[contact.legs], *place, *both))
+            spatial = *(frame_1 or _NO_FRAME), *(frame_2 or _NO_FRAME)
+            rows.append(_ROW(*finger, *flags, *legs[contact.legs], *place, *spatial))
         return rows
 
 

@@ -256,12 +256,12 @@ def shade_windows(ax: Any, plan: Plan) -> None:
 def _draw_speed(ax: Any, plan: Plan) -> None:
     """Draw the speeds of the contact points, if there is no slip to draw."""
     t, scene = plan.sample_times(), plan.scene
-    paces = [math.hypot(*contact.start().finger_velocity) for contact in scene.contacts]
-    for way, pace in {(scene.way(i), pace) for i, pace in enumerate(paces)}:
-        ax.plot(t, pace * speed(way, t), color=INK, linewidth=1.8)
+    lengths = [math.hypot(*contact.start().finger_velocity) for contact in scene.contacts]
+    for way, length in {(scene.way(i), length) for i, length in enumerate(lengths)}:
+        ax.plot(t, length * speed(way, t), color=INK, linewidth=1.8)
     ax.set_ylim(bottom=0.0)
     ax.set_ylabel("speed of the contact point [m/s]")
-    ax.set_title("No slip at any contact" if any(paces) else "Every contact rests")
+    ax.set_title("No slip at any contact" if any(lengths) else "Every contact rests")
 
 
 def _draw_object(ax: Any, plan: Plan) -> None:

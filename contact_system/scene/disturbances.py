@@ -103,4 +103,4 @@ DISTURBANCE_KINDS: list[type[Disturbance]] = [
     ObjectAcceleration,
     ObjectRateOffset,
 ]
-"""All kinds; the first three in the order of `SLOTS`."""
+"""All kinds, in the order of `SLOTS`."""

@@ -132,17 +132,17 @@ def check_legs(legs: Sequence[Leg], duration: float) -> None:
             f"legs take {whole:.9g} s and the scene {duration:.9g} s; lengthen the scene"
         )
     way = stretches(legs, duration)
-    for k, (one, other) in enumerate(zip(way, way[1:])):
-        ends = _ends(one)[1], _ends(other)[0]
+    for k, (leg, following) in enumerate(zip(way, way[1:])):
+        ends = _ends(leg)[1], _ends(following)[0]
         with naming(f"legs[{k}]"):
-            if any(ends) and other.turn != STRAIGHT:
+            if any(ends) and following.turn != STRAIGHT:
                 raise SceneError(
-                    f"sigma = {max(ends):.6g} m/s at t = {one.stop:.9g} s, where the path turns; "
+                    f"sigma = {max(ends):.6g} m/s at t = {leg.stop:.9g} s, where the path turns; "
                     "let sigma end and begin at 0 there, as without a profile"
                 )
             if abs(ends[0] - ends[1]) > _JUMP * max(ends):
                 raise SceneError(
-                    f"sigma jumps from {ends[0]:.6g} to {ends[1]:.6g} m/s at t = {one.stop:.9g} s; "
+                    f"sigma jumps from {ends[0]:.6g} to {ends[1]:.6g} m/s at t = {leg.stop:.9g} s; "
                     "let the legs meet at one speed, and the last one end at rest"
                 )
 

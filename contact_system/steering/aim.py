@@ -102,7 +102,7 @@ class Aim(Steer):
         return (1 + (5 if self.pose is not None else 2 * len(self.sides))) // 2
 
     def search(self, z: Array, tolerance: float, reached: float) -> tuple[Array, Array, Array]:
-        """Newton's method from paths z, (2 n, m), until two end within ``reached`` of the goal.
+        """Gauss-Newton steps from paths z, (2 n, m), until two end within ``reached`` of the goal.
 
         A path is (phi_1, ..., phi_n, s_1, ..., s_n): directions measured from ``finger_velocity``,
         and lengths along s, m; a path of negative length runs backwards. tolerance: error of a step

@@ -34,13 +34,13 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
     half = cmath.rect(1.0, 0.5 * (psi - aim.goal_psi)) * turned
     a, b, wanted = a * half, b * half.conjugate() / r, 2 * turned * moved
     first = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 361)  # directions of the first roll
-    way = np.exp(1j * first)
-    s1 = np.arctan2(-a.imag, (way * b.conjugate()).imag)  # half its angle; one roll, s2, is left
+    unit = np.exp(1j * first)
+    s1 = np.arctan2(-a.imag, (unit * b.conjugate()).imag)  # half its angle; one roll, s2, is left
     s1 -= math.pi * np.round(s1 / math.pi)
-    real = (np.cos(s1) * a + np.sin(s1) * way * b.conjugate()).real
-    rest = (np.cos(s1) * b - np.sin(s1) * way * a.conjugate()) * np.where(real < 0, -1.0, 1.0)
+    real = (np.cos(s1) * a + np.sin(s1) * unit * b.conjugate()).real
+    rest = (np.cos(s1) * b - np.sin(s1) * unit * a.conjugate()) * np.where(real < 0, -1.0, 1.0)
     s2, second = np.arctan2(np.abs(rest), np.abs(real)), np.angle(rest)
-    rolled = cmath.rect(2 * r, -psi) * (s1 / way + s2 * np.exp(-1j * second))
+    rolled = cmath.rect(2 * r, -psi) * (s1 / unit + s2 * np.exp(-1j * second))
     left = wanted - rolled
     revolutions = np.ceil(np.abs(left) / (4 * math.pi * r))
     k = int(np.argmin(np.abs(s1) + s2 + 2 * math.pi * revolutions))
@@ -48,11 +48,11 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
     whole = 2 * math.pi * r * float(revolutions[k])  # length of each of the last two rolls
     open_by = math.acos(min(1.0, abs(left[k]) / (2 * whole))) if whole else 0.0
     ahead = -psi - cmath.phase(left[k])
-    ways = np.array([first[k], second[k], ahead - open_by, ahead + open_by])
+    headings = np.array([first[k], second[k], ahead - open_by, ahead + open_by])
     lengths = np.array([2 * r * s1[k], 2 * r * s2[k], whole, whole])
     if np.abs(lengths).sum() >= below * aim.w_length:
         return None
-    directions = ways if ball == 0 else -psi - ways
+    directions = headings if ball == 0 else -psi - headings
     return np.concatenate([directions - aim.w_angle, lengths / aim.w_length])
 
 

@@ -112,17 +112,17 @@ def _swept(motion: Motion, contact: int, parts: int) -> np.ndarray:
     dn: the derivative of n by x, which goes from 0 to 1 on each leg.
     """
     turn = 2 * math.pi * np.arange(parts) / parts
-    t, paces = [], []
+    t, speeds = [], []
     for leg in motion.scene.way(contact):
         span = leg.stop - leg.start
         own = span * (turn - np.sin(turn)) / (2 * math.pi)
         t.append(leg.start + own)
-        paces.append(leg.profile(own) * span * (1 - np.cos(turn)))
+        speeds.append(leg.profile(own) * span * (1 - np.cos(turn)))
     results: Any = motion.evaluate(np.concatenate(t), (FRAMES, "carried"), gaps=True)
     frames, velocity = (results[name][:, contact] for name in (FRAMES, "carried"))
     p, q, k = frames[..., 3:6], frames[..., 6:9], frames[..., 9:]
-    way = np.concatenate(paces)[:, None, None] * velocity[..., 1:]  # along p and q of each body
-    turns = k[..., :2] * way[..., :1] + k[..., 1:] * way[..., 1:]
+    rates = np.concatenate(speeds)[:, None, None] * velocity[..., 1:]  # along p and q of each body
+    turns = k[..., :2] * rates[..., :1] + k[..., 1:] * rates[..., 1:]
     return np.array([np.cross(p, q), turns[..., :1] * q - turns[..., 1:] * p])
 
 

@@ -208,7 +208,7 @@ class _Search:
         yield from filter(None, map(self._route_near, found))
 
     def _route_near(self, z: Array) -> _Route | None:
-        """The route to which Newton's method leads from a path; None if there is none.
+        """The route to which the Gauss-Newton method leads from a path; None if there is none.
 
         Its error is that of the planned path. If slip moves the object's curve off the geodesics,
         difference quotients of plans serve as derivatives to bring its end to the goal.
@@ -274,9 +274,9 @@ class _Search:
             slope = free.T @ (free @ np.concatenate([np.zeros(n), np.sign(route.z[n:])]))
             if np.linalg.norm(slope) < 1e-6:
                 break
-            other = self._route_near(route.z - step * unit * slope / np.linalg.norm(slope))
-            if other is not None and other.length < route.length and self._stays(other):
-                route, step = other, 2.0 * step
+            shorter = self._route_near(route.z - step * unit * slope / np.linalg.norm(slope))
+            if shorter and shorter.length < route.length and self._stays(shorter):
+                route, step = shorter, 2.0 * step
             else:
                 step *= 0.3
         return route
@@ -326,8 +326,8 @@ class _Search:
 
         part: greatest difference of two balls' radii, as a fraction of the object's.
         """
-        one, other = self.aim.bodies
-        balls = one.chart.great_circles and other.chart.great_circles
-        near = abs(one.size - other.size) <= part * other.size
-        flat = one.chart.lengths[1] and other.chart.lengths[1]  # planes, and all cylinders
+        finger, obj = self.aim.bodies
+        balls = finger.chart.great_circles and obj.chart.great_circles
+        near = abs(finger.size - obj.size) <= part * obj.size
+        flat = finger.chart.lengths[1] and obj.chart.lengths[1]  # planes, and all cylinders
         return (balls and near) or flat

@@ -208,12 +208,12 @@ class Pairs:
     def unrolled(self, most: int = 1) -> tuple[Array, Array]:
         """Directions and lengths of straight lines on the unrolled surface, (pairs, lines)."""
         period, lame = self.surface.periods()[0], self.surface.lame(*self.uv.T)
-        way = (self.uv_b - self.uv)[:, None, :]
+        apart = (self.uv_b - self.uv)[:, None, :]
         if period is not None:
-            turns = np.arange(-most, most + 1) - np.rint(way[..., 0] / period)
-            way = np.stack([way[..., 0] + period * turns, way[..., 1] + 0 * turns], axis=-1)
-        way = lame[:, None, :] * way
-        phi, s = np.arctan2(way[..., 1], way[..., 0]), np.hypot(way[..., 0], way[..., 1])
+            turns = np.arange(-most, most + 1) - np.rint(apart[..., 0] / period)
+            apart = np.stack([apart[..., 0] + period * turns, apart[..., 1] + 0 * turns], axis=-1)
+        apart = lame[:, None, :] * apart
+        phi, s = np.arctan2(apart[..., 1], apart[..., 0]), np.hypot(apart[..., 0], apart[..., 1])
         order = np.argsort(s, axis=1, kind="stable")
         return np.take_along_axis(phi, order, axis=1), np.take_along_axis(s, order, axis=1)
 

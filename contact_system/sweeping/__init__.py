@@ -20,7 +20,7 @@ from ..plan import checked_tolerance
 from ..scene import Scene
 from ..terminal import Progress
 from .chunk import Chunk, Evaluate, Failure, Item, Part, Run, joined, run_chunk
-from .files import digest, keep, read
+from .files import digest, read, store
 from .workers import spread
 
 __all__ = ["Failure", "Sweep", "sweep"]
@@ -41,8 +41,8 @@ class Sweep:
         for part in self._parts:
             if isinstance(part, Part):
                 yield part
-            elif (stored := read(part)) is not None:
-                yield stored
+            elif (found := read(part)) is not None:
+                yield found
             else:
                 raise ContactSystemError(
                     f"'{part}' no longer holds results of this sweep: it was removed or damaged; "
@@ -159,7 +159,7 @@ def sweep(
     with Progress(max(steps, 1), "0 scenes") as progress, contextlib.closing(finished):
         count = 0
         for done, part in finished:
-            parts[done.first] = keep(part, done.file)
+            parts[done.first] = store(part, done.file)
             count += len(done.items)
             progress.name, progress.done = f"{count} scenes", len(parts)
     return Sweep(parts)

@@ -25,7 +25,7 @@ from ..writing import writing
 from .chunk import Failure, Item, Part, Run
 
 
-def keep(part: Part, path: Path | None) -> Part | Path:
+def store(part: Part, path: Path | None) -> Part | Path:
     """Write a part to its file, if it has one; returns the path, or the part."""
     if path is None:
         return part

@@ -241,11 +241,11 @@ class Table(TableData):
         place = {k: k for k in (*values.inputs, *values.constants)}  # the register of each value
         literals = [k for k in live if rows[k][0] == "LITERAL"]
         steps = [k for k in live if rows[k][0] not in LEAVES]
-        kept = [*literals, *(k for k in steps if values.uniform[k])]
+        prepared = [*literals, *(k for k in steps if values.uniform[k])]
         self.n_lit, self.first_lit = len(literals), self.n_in + self.n_const
         self.numbers = np.array([rows[k][1] for k in literals])
-        self.first_out = self.first_lit + len(kept)
-        place.update((k, self.first_lit + i) for i, k in enumerate(kept))
+        self.first_out = self.first_lit + len(prepared)
+        place.update((k, self.first_lit + i) for i, k in enumerate(prepared))
         copies = list[Step]()  # results that have a register already, such as an input
         for i, k in enumerate(values.results):
             if k in place:
@@ -281,12 +281,12 @@ class Table(TableData):
         """
         literals = range(self.first_lit, self.first_lit + self.n_lit)
         results = range(self.first_out, self.first_out + self.n_out)
-        held: dict[int, str] = {}
+        local: dict[int, str] = {}
 
         def operand(register: int) -> str:
             if register in literals:
                 return str(float(self.numbers[register - self.first_lit]))
-            return held.get(register, f"r[{register}][i]")
+            return local.get(register, f"r[{register}][i]")
 
         lines = list[str]()
         for op, to, *registers in self.words[1][:-1].tolist():
@@ -296,8 +296,8 @@ class Table(TableData):
             values = dict(zip("AB", map(operand, registers)))
             value = re.sub(r"\b[AB]\b", lambda match: values[match[0]], row.c)  # noqa: B023
             lines.append(f"const double t{len(lines)} = {value};")
-            held[to] = f"t{len(lines) - 1}"
-        lines += [f"r[{to}][i] = {held[to]};" for to in results]
+            local[to] = f"t{len(lines) - 1}"
+        lines += [f"r[{to}][i] = {local[to]};" for to in results]
         loop = "".join(f"    {line}\n" for line in lines)
         return f"  EACH_LANE(i) {{\n{loop}  }}\n"
 
