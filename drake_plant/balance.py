@@ -194,10 +194,10 @@ def _solve(
     cone = np.concatenate([cones[:, None, None] * along, across], axis=2)
     costs = 2 * np.diag([*np.ones(3 * n), *np.full(left.shape[1], DEAR)])
     for k in range(m):
-        own = np.append(forces[k], left[k])
+        unknowns = np.append(forces[k], left[k])
         matrix = np.hstack([matrices[k], np.eye(6, left.shape[1])])
-        program.AddLinearEqualityConstraint(matrix, wanted[k], own)
-        program.AddQuadraticCost(costs, np.zeros(len(own)), own, is_convex=True)
+        program.AddLinearEqualityConstraint(matrix, wanted[k], unknowns)
+        program.AddQuadraticCost(costs, np.zeros(len(unknowns)), unknowns, is_convex=True)
         for i in range(n):
             program.AddConstraint(LorentzConeConstraint(cone[k, i], np.zeros(4)), forces[k, i])
             if floor[i] or not cones[i]:  # a cone without width allows pulling

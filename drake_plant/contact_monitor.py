@@ -279,8 +279,8 @@ class ContactGauges:
         self._acting = [*zip(x["point"], x["force"], x["torque"])]
         rows: Any = self._motions.results, self._forces.points, self._forces.results, self._result
         self._contacts = [
-            (probe, machine.run, *(row.data for row in (probe.seen, probe.found, *own)))
-            for probe, machine, *own in zip(self._probes, self._forces.machines, *rows)
+            (probe, machine.run, *(row.data for row in (probe.seen, probe.found, *buffers)))
+            for probe, machine, *buffers in zip(self._probes, self._forces.machines, *rows)
         ]
 
     def begin(self, X_W: Any, V_W: Any, obj: int, fingers: list[int]) -> None:

@@ -306,9 +306,9 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
     steady = (t >= EDGE) & (np.abs(t[:, None] - acting.ravel()) > EDGE).all(1)
     off, reports = time_off(result).sum(0), []
     kept = not off.any() and not object_report(result).falls
-    for i, own in enumerate(disturbed):
+    for i, spans in enumerate(disturbed):
         found = _rolling(result, i, early, steady)
-        found |= _rejection(result, i, own, acting[:, 0], found["slip_before"])
+        found |= _rejection(result, i, spans, acting[:, 0], found["slip_before"])
         name = result.scene.contact_name(i)
         path = length(result.scene.way(i), result.scene.duration)
         pushed = any(p.on in (name, "object") and p.start < t[-1] for p in result.config.pushes)
@@ -364,9 +364,9 @@ def durations(result: SimulationResult) -> Array:
     since = np.diff(result.t, prepend=result.t[0])
     off = (result.measured["normal_force"] <= 0).any(axis=1)
     longest = result.config.time_step or CONTINUOUS.max_step_size
-    own = np.where(off, np.minimum(since, longest), 0.0)
-    own[~off] = np.diff(np.cumsum(since - own)[~off], prepend=0.0)
-    return own
+    lasts = np.where(off, np.minimum(since, longest), 0.0)
+    lasts[~off] = np.diff(np.cumsum(since - lasts)[~off], prepend=0.0)
+    return lasts
 
 
 def misses(result: SimulationResult) -> Array:
@@ -449,12 +449,12 @@ def _rejection(
     sliding = (slip > np.fmax(SLIDING * before, CREEPING)) & (normal > 0)
     slid = bool((at_limit | sliding)[seen].any())
     until = begins[begins >= stop].min(initial=t[-1])
-    own = t <= until
+    followed = t <= until
     return {
         "disturbed_slip": mean,
         "saturated": _mean(at_limit[during], time),
         "slid": slid,
-        "recovery": recovery_time(t[own], slip[own], stop, level) if slid else math.nan,
+        "recovery": recovery_time(t[followed], slip[followed], stop, level) if slid else math.nan,
         "followed": float(until - stop),
         "reported": result.scene.paper.get("recovery_time", math.nan),
     }

@@ -216,10 +216,10 @@ class ContactPlanner(_Convertible, LeafSystem):
         reject, may go anywhere. The last derivatives of a step tell whether to look for singular
         points at its end.
         """
-        own, t = self._scratches.own, context.get_time()
-        if not own.clearance[0] > NEARBY:
+        scratch, t = self._scratches.own, context.get_time()
+        if not scratch.clearance[0] > NEARBY:
             if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
-                refuse_singularity(self.system, *own.arguments)
+                refuse_singularity(self.system, *scratch.arguments)
         followed, port = self._followed(context), self._disturbance
         if followed[PLAN] and port is not None and port.HasValue(context):
             if port.Eval(context).any():
@@ -243,9 +243,9 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     def _Begin(self, context: Any) -> None:
         """Start to compare contacts with the plan from the state that the Context has."""
-        own, system = self._Load(context, ("derivatives",)), self.system
-        t, scene = own.t[0], system.scene
-        as_at_0 = (*own.x, *own.held) == (*system.x0, *system.held0)
+        scratch, system = self._Load(context, ("derivatives",)), self.system
+        t, scene = scratch.t[0], system.scene
+        as_at_0 = (*scratch.x, *scratch.held) == (*system.x0, *system.held0)
 
         def in_state(time: float) -> Array:  # what a state contains of the scene at a time
             if system.coordinates == "chart":
@@ -282,21 +282,21 @@ class ContactPlanner(_Convertible, LeafSystem):
     # --- what Drake calls ----------------------------------------------------------------------
 
     def _Load(self, context: Any, outputs: tuple[str, ...]) -> Scratch:
-        own = self._scratches.own
-        time, x = own.written
+        scratch = self._scratches.own
+        time, x = scratch.written
         time[0] = t = context.get_time()
         x[:] = context.get_continuous_state_vector().value()
-        after, before = own.w_valid
+        after, before = scratch.w_valid
         if after < t < before:
-            return own
-        own.w[:] = self._Acting(context, *outputs)
+            return scratch
+        scratch.w[:] = self._Acting(context, *outputs)
         if self._held is not None:
-            own.held[:] = context.get_discrete_state(self._held).value()
+            scratch.held[:] = context.get_discrete_state(self._held).value()
         if self._held is self._disturbance is None:
             edges = (-math.inf, *self.system.edges, math.inf)
             k = bisect.bisect_left(edges, t)
-            own.w_valid = (t, t) if t in edges else (edges[k - 1], edges[k])
-        return own
+            scratch.w_valid = (t, t) if t in edges else (edges[k - 1], edges[k])
+        return scratch
 
     def _Parts(self, context: Any, *outputs: str) -> list[Array]:
         return self._Load(context, outputs).evaluate(*outputs)
@@ -316,11 +316,11 @@ class ContactPlanner(_Convertible, LeafSystem):
         chosen = np.isfinite(rows).all(axis=1) & moves
         if not chosen.any():
             return
-        planned, own = self._Parts(context, "state")[0].reshape(-1, 9), self._scratches.own
+        planned, scratch = self._Parts(context, "state")[0].reshape(-1, 9), self._scratches.own
         rows = on_branch(system.scene, np.where(chosen[:, None], rows, planned), planned)
-        x, held = system.from_states(context.get_time(), rows, own.w, chosen)
+        x, held = system.from_states(context.get_time(), rows, scratch.w, chosen)
         if limit is not None:
-            now = context.get_time(), x, own.w, held
+            now = context.get_time(), x, scratch.w, held
             there = system.evaluate("contact_point", *now)
             apart = there - self._Parts(context, "contact_point")[0]
             chosen &= np.linalg.norm(apart.reshape(-1, 6)[:, 3:], axis=1) > limit
@@ -330,16 +330,16 @@ class ContactPlanner(_Convertible, LeafSystem):
         plan = None if chosen.all() else self._Exact(context)
         for i in np.flatnonzero(chosen):
             states, kept = system.state_slices[i], system.held_slices[i]
-            own.x[states], own.held[kept] = x[states], held[kept]
-        follow = own.evaluate("state")[0].reshape(-1, 9)
+            scratch.x[states], scratch.held[kept] = x[states], held[kept]
+        follow = scratch.evaluate("state")[0].reshape(-1, 9)
         if plan is not None:
             follow[~chosen] = plan.states(context.get_time())[0][~chosen]
         self._Follow(context, follow.ravel())
-        state.get_mutable_continuous_state().SetFromVector(own.x)
+        state.get_mutable_continuous_state().SetFromVector(scratch.x)
         restarts = state.get_mutable_discrete_state(self._restarts)
         restarts.SetFromVector(restarts.value() + chosen)
         if self._held is not None:
-            state.get_mutable_discrete_state(self._held).SetFromVector(own.held)
+            state.get_mutable_discrete_state(self._held).SetFromVector(scratch.held)
 
 
 # --- other scalars --------------------------------------------------------------------------------

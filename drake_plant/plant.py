@@ -325,11 +325,11 @@ def _add_body(
     side : 0 for a finger, whose own touch is given, 1 for the object, with those of all fingers
     """
     curve = np.vstack([touch.points[side] for touch in touches])
-    own = float(np.mean([touch.curvatures[side] for touch in touches]))
+    curvature = float(np.mean([touch.curvatures[side] for touch in touches]))
     opposing = max(touch.curvatures[1 - side] for touch in touches)
     depth, edge = contact_depth(config), getattr(config, EDGES[side])
-    patch = math.sqrt(2 * depth / (own + opposing))
-    gap = GAPS[side] * depth if edge is None else (own + opposing) * edge**2 / 2
+    patch = math.sqrt(2 * depth / (curvature + opposing))
+    gap = GAPS[side] * depth if edge is None else (curvature + opposing) * edge**2 / 2
     domain = mesh = None
     shape: Shape = HalfSpace()
     properties, hydroelastic = _material(config), config.contact_model == "hydroelastic"

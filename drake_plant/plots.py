@@ -143,8 +143,8 @@ def _draw_cones(ax: Any, result: HandResult) -> None:
 
 
 def _draw_torques(ax: Any, result: HandResult) -> None:
-    for i, own in enumerate(result.plan.chains.joints):
-        share = np.abs(result.torque[:, own]) / result.plan.chains.effort[own]
+    for i, joints in enumerate(result.plan.chains.joints):
+        share = np.abs(result.torque[:, joints]) / result.plan.chains.effort[joints]
         ax.plot(result.t, share, color=colour_of(i), linewidth=0.9)
     ax.set(title="Torques over their limits, each joint", ylabel="part", ylim=(0, 1))
 
@@ -155,8 +155,8 @@ HAND_PANELS = (_draw_errors, _draw_slipped, _draw_cones, _draw_torques)
 
 def _each(ax: Any, t: Array, values: Array, **line: Any) -> None:
     """A line for each contact, of the columns of values (m, n)."""
-    for i, own in enumerate(values.T):
-        ax.plot(t, own, color=colour_of(i), **line)
+    for i, column in enumerate(values.T):
+        ax.plot(t, column, color=colour_of(i), **line)
 
 
 def _draw_rippling(ax: Any, t: Array, values: Array, wanted: Array, top: float) -> None:

@@ -207,12 +207,12 @@ def _curves(
     for i, contact in enumerate(scene.contacts):
         u1, v1, u2, v2 = state[:, i, [0, 1, 4, 5]].T
         out, size, colour = scene.object.normal(u2, v2), contact.finger.size, colour_of(i)
-        own, finger = _branch(scene, -1), _branch(scene, i)
+        obj, finger = _branch(scene, -1), _branch(scene, i)
         planned, measured = (w["contact_point"][:, i] for w in (result.planned, result.measured))
         on_finger = contact.finger.point(u1, v1), contact.finger.normal(u1, v1)
         for path, points, normals, width, shade in (
-            (f"{own}/planned {i}", planned + 0.5 * LIFT * size * out, out, THIN, INK),
-            (f"{own}/curve {i}", measured, out, THICK, colour),
+            (f"{obj}/planned {i}", planned + 0.5 * LIFT * size * out, out, THIN, INK),
+            (f"{obj}/curve {i}", measured, out, THICK, colour),
             (f"{finger}/curve", *on_finger, THICK, colour),
         ):
             known = np.isfinite(points + normals).all(axis=1)

@@ -65,8 +65,8 @@ class FingerTables:
         self.points = registers[:, : table.n_in]
         self.x: dict[str, Array] = {}
         for name, part in slices(sizes).items():
-            own = self.points[:, part]
-            self.x[name] = own.reshape(-1, 3, 4) if name[0] == "X" else own
+            columns = self.points[:, part]
+            self.x[name] = columns.reshape(-1, 3, 4) if name[0] == "X" else columns
         self.results = registers[:, table.first_out :][:, : table.n_out]
 
     def put(self, X_W: Any, V_W: Any, obj: int, fingers: list[int]) -> None:
@@ -97,7 +97,7 @@ def named(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
             found |= {f"R{name[1:]}": rows[:, :3], f"p{name[1:]}": rows[:, 3]}
         elif name[0] in "VA":
             names = ("w", "v") if name[0] == "V" else ("alpha", "a")
-            found |= {f"{own}{name[1:]}": half for own, half in zip(names, ca.vertsplit(value, 3))}
+            found |= {x + name[1:]: half for x, half in zip(names, ca.vertsplit(value, 3))}
     return every, SimpleNamespace(**found)
 
 

@@ -103,8 +103,8 @@ class SimulationResult:
                 for kind, table in (("planned", self.planned), ("measured", self.measured))
                 for name, values in table.items()
             }
-            own = {field.name: getattr(self, field.name) for field in fields(self)}
-            logs |= {key: values for key, values in own.items() if isinstance(values, np.ndarray)}
+            attributes = ((field.name, getattr(self, field.name)) for field in fields(self))
+            logs |= {name: x for name, x in attributes if isinstance(x, np.ndarray)}
             settings = {key: x for key, x in asdict(self.config).items() if x is not None}
             scene = scene_to_toml(self.scene.replace(drake=settings))
             np.savez_compressed(file, scene=np.array(scene), **logs)
@@ -186,12 +186,12 @@ def simulate(
     run = Run(scene, partial(build, whole, config, until=duration), recording)
     SetInitialState(run.station, run.root)
     planner = run.station.GetSubsystemByName("planner")
-    own = planner.GetMyContextFromRoot(run.root)
-    logged: Logged = {"planned": partial(planner.Evaluate, own, *PLANNED)}
+    planning = planner.GetMyContextFromRoot(run.root)
+    logged: Logged = {"planned": partial(planner.Evaluate, planning, *PLANNED)}
     for name in BALANCED if config.balances else ():
         logged[name] = partial(run.station.GetOutputPort(f"planned_{name}").Eval, run.root)
     t, logs, measured = run.advance(duration, progress, logged)
-    planned = {name: logs["planned"][:, :, own] for name, own in PLANNED.items()}
+    planned = {name: logs["planned"][:, :, columns] for name, columns in PLANNED.items()}
     planned["contact_point"] = planned["contact_point"][:, :, 3:]
     for name, constant in zip(BALANCED, (config.normal_force, 0.0)):
         planned[name] = logs.get(name, np.full_like(measured["normal_force"], constant))
@@ -214,11 +214,11 @@ def simulate_hand(
     duration = _checked_duration(plan.scene, plan.config, duration)
     run = Run(plan.scene, partial(build_hand, plan), recording)
     driver, plant = run.station.GetSubsystemByName("driver"), run.parts.plant
-    own, physics = (system.GetMyContextFromRoot(run.root) for system in (driver, plant))
+    control, physics = (system.GetMyContextFromRoot(run.root) for system in (driver, plant))
     joints = [joint.position_start() for joint in moving_joints(plant)]
     logged: Logged = {
         "q": lambda: plant.GetPositions(physics)[joints],
-        "torque": partial(driver.GetOutputPort("torque").Eval, own),
+        "torque": partial(driver.GetOutputPort("torque").Eval, control),
     }
     t, logs, measured = run.advance(duration, progress, logged)
     seen = t, _hand_planned(plan, t), measured, logs["pose"], *run.times

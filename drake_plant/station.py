@@ -282,9 +282,9 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     forces = None
     if station.HasSubsystemNamed("balancer"):
         balancer = station.GetSubsystemByName("balancer")
-        own = balancer.GetMyMutableContextFromRoot(context)
-        own.get_mutable_abstract_parameter(0).set_value(X_WO)
-        forces = balancer.GetOutputPort("normal_force").Eval(own)
+        balancing = balancer.GetMyMutableContextFromRoot(context)
+        balancing.get_mutable_abstract_parameter(0).set_value(X_WO)
+        forces = balancer.GetOutputPort("normal_force").Eval(balancing)
     R_WO = X_WO.rotation()
     twist, change = (planner.GetOutputPort(name).Eval(now) for name in ("twist", "acceleration"))
     twists = (twist - ago * change).reshape(-1, 6)

@@ -29,18 +29,18 @@ def contact_groups(
 ) -> list[list[Variable]]:
     """The variables of a scene's contact i, in the groups of c/model.h; starts: of the states;
     speed: nominal value of speeds, m/s."""
-    own = _Contact(scene, scene.contacts[i], f"contact[{i + 1}].", speed)
+    variables = _Contact(scene, scene.contacts[i], f"contact[{i + 1}].", speed)
     states = [
         replace(v, causality="local", initial="exact", start=(float(x),))
-        for v, x in zip(own.states(), starts)
+        for v, x in zip(variables.states(), starts)
     ]
     return [
-        own.inputs(),
-        [] if measured == "nothing" else own.measured(measured),
+        variables.inputs(),
+        [] if measured == "nothing" else variables.measured(measured),
         states,
         [_derivative(v) for v in states],
-        own.coordinates(),
-        *own.outputs(),
+        variables.coordinates(),
+        *variables.outputs(),
     ]
 
 
@@ -87,23 +87,23 @@ class _Contact:
             for axis, unit in zip("uv", chart_units(surface)):
                 text = f"Added to the {to} of {axis} of the {side}"
                 text += ", in addition to the scene's disturbance windows"
-                own = f"{side}.{quantity}.{axis}", (), per_second(unit, power), text
-                found += self.rows(*own, causality="input", initial=None, start=(0.0,))
+                arguments = f"{side}.{quantity}.{axis}", (), per_second(unit, power), text
+                found += self.rows(*arguments, causality="input", initial=None, start=(0.0,))
         return found
 
     def measured(self, what: str) -> list[Variable]:
         """Inputs: the trigger; then the states of `Plan.states`, or twist and pose."""
-        own = replace(self, stem=f"{self.stem}measured.")
+        inputs = replace(self, stem=f"{self.stem}measured.")
         if what == "pose":
-            rows = [v for group in own.motion() for v in group]
+            rows = [v for group in inputs.motion() for v in group]
             starts = [*np.zeros(6), *np.eye(3).ravel(), *np.zeros(3)]
         else:
-            rows, contact = own.coordinates(), self.contact
+            rows, contact = inputs.coordinates(), self.contact
             starts = [*contact.finger_at, 0.0, 0.0, *contact.object_at, 0.0, 0.0, contact.angle]
         text = "Co-Simulation goes on from what is measured when this changes to another number "
         # discrete, so that importers hold values and do not interpolate them
         kind: dict[str, Any] = {"causality": "input", "variability": "discrete", "initial": None}
-        return own.rows("trigger", (), NONE, text + "than 0", start=(0.0,), **kind) + [
+        return inputs.rows("trigger", (), NONE, text + "than 0", start=(0.0,), **kind) + [
             replace(
                 v,
                 name=re.sub(r"der\((.*)\)", r"\1_rate", v.name),
@@ -130,15 +130,15 @@ class _Contact:
         for side, surface in self.bodies:
             stem, carried = f"{side}.frame", f"frame carried along on the {side}"
             if frame_size(surface) == 3:
-                own = self.places(stem, surface, carried)
+                frame = self.places(stem, surface, carried)
                 text = f"Angle in the chart of the {carried}"
-                own += self.rows(f"{stem}.angle", (), RADIAN, text)
+                frame += self.rows(f"{stem}.angle", (), RADIAN, text)
             else:
-                own = self.rows(f"{stem}.point", XYZ, METRE, f"Origin of the {carried}")
-                own += self.rows(f"{stem}.axis", XYZ, NONE, f"First axis of the {carried}")
-            for v in own:
+                frame = self.rows(f"{stem}.point", XYZ, METRE, f"Origin of the {carried}")
+                frame += self.rows(f"{stem}.axis", XYZ, NONE, f"First axis of the {carried}")
+            for v in frame:
                 v.nominal = SMALL * surface.size if v.unit == METRE else SMALL
-            rows += own
+            rows += frame
         turns, stops = bool(self.contact.legs), LAWS[self.scene.gain.law].cancels_growth
         moving = "Path velocity of the finger's contact point in its carried frame"
         slipping = "Slip over sigma in the object's carried frame"

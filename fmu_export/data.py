@@ -115,13 +115,13 @@ def _contact(table: Table, i: int, data: _Data) -> list[int]:
     """The row of contact i."""
     scene, contact = table.scene, table.scene.contacts[i]
     pair = contact.finger, scene.object
-    own, _ = equations(*table.structure(i))
-    sensor = own if table.measured == "nothing" else measured(*pair, table.measured)
+    system, _ = equations(*table.structure(i))
+    sensor = system if table.measured == "nothing" else measured(*pair, table.measured)
     unknowns = [3 if s.has_implicit else 2 for s in pair] if table.measured == "pose" else [0, 0]
     columns, _ = data.rows([table.columns(i)])
     return [
         *(bool(contact.legs), table.first[f"finger {i}"], table.first["object"], *table.groups[i]),
-        *(columns, data.table(own), *map(frame_size, pair), data.table(sensor), *unknowns),
+        *(columns, data.table(system), *map(frame_size, pair), data.table(sensor), *unknowns),
     ]
 
 

@@ -156,10 +156,10 @@ def _units(unit: Unit) -> dict[str, str]:
 def _unit_definitions(table: Table) -> ET.Element:
     element = ET.Element("UnitDefinitions")
     for unit in sorted({row.unit for row in table.rows if row.unit is not None}):
-        own = ET.SubElement(element, "Unit", name=unit_name(unit))
-        ET.SubElement(own, "BaseUnit", {k: str(x) for k, x in zip(("m", "s", "rad"), unit) if x})
+        entry = ET.SubElement(element, "Unit", name=unit_name(unit))
+        ET.SubElement(entry, "BaseUnit", {k: str(x) for k, x in zip(("m", "s", "rad"), unit) if x})
         if name := _units(unit).get("displayUnit"):
-            ET.SubElement(own, "DisplayUnit", name=name, factor=_number(math.degrees(1.0)))
+            ET.SubElement(entry, "DisplayUnit", name=name, factor=_number(math.degrees(1.0)))
     return element
 
 

@@ -55,17 +55,17 @@ def equations(finger: Surface, obj: Surface, law: str, n_profile: int) -> tuple[
         p1, p2 = (ca.SX.sym("p", len(s.parameters)) for s in (finger, obj))
         # past sigma's end the path rests: a solver may evaluate there within its last step
         ended = polynomial(ca.vertsplit(profile), t) < 0
-        own = ca.vertcat(gain, ca.if_else(ended, 0, profile))
+        law_values = ca.vertcat(gain, ca.if_else(ended, 0, profile))
         numbers = ca.vertcat(p1, WORK_SIZE), ca.vertcat(p2, WORK_SIZE)
         function = contact_function(finger, obj, form)
-        values = function(t, x, w, ca.SX(0, 1), own, *numbers)
+        values = function(t, x, w, ca.SX(0, 1), law_values, *numbers)
         found = dict(zip(function.name_out(), values))
         pose = found["pose"]
         by_rows = ca.vertcat(ca.vec(ca.reshape(pose[:9], 3, 3).T), pose[9:])
         results = ca.vertcat(
             *(found["derivatives"], found["state"]),
             *(found["slip"], found["twist"], by_rows, found["contact_point"]),
-            *_condition(law, t, own, found["slip"], w),
+            *_condition(law, t, law_values, found["slip"], w),
         )
         point, constants = ca.vertcat(t, x, w), ca.vertcat(gain, profile, p1, p2)
         made = ca.Function("equations", [point, constants], [ca.densify(ca.cse(results))])
@@ -73,12 +73,12 @@ def equations(finger: Surface, obj: Surface, law: str, n_profile: int) -> tuple[
         return Table(made), np.hstack(parts) != 0
 
 
-def _condition(law: str, t: ca.SX, own: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca.SX]:
+def _condition(law: str, t: ca.SX, law_values: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca.SX]:
     """|slip|, sigma, 1 if a disturbance acts or 0, expected time of recovery."""
-    profile = ca.vertsplit(own[1:])
+    profile = ca.vertsplit(law_values[1:])
     sigma = polynomial(profile, t)
     growth = ca.gradient(sigma, t) / ca.fmax(sigma, TINY)
-    rate = LAWS[law].rate(own[0], sigma, ca.fmax(0, growth)) - growth  # of contraction
+    rate = LAWS[law].rate(law_values[0], sigma, ca.fmax(0, growth)) - growth  # of contraction
     recovery = ca.fmin(math.log(100) / ca.fmax(rate, 1e-9), NEVER)
     return [ca.sqrt(ca.sumsqr(slip) + TINY), sigma, ca.sumsqr(w) > 0, recovery]
 

@@ -104,7 +104,7 @@ def _structure(
         if not types:
             raise ContactSystemError(f"connections: {pair!r}: neither is a variable of a model")
         line: dict[str, str] = {}
-        for side, (model, variable, own) in zip(("start", "end"), places):
+        for side, (model, variable, declared) in zip(("start", "end"), places):
             # a connection starts at a model's output or at an input of the system
             kind = "output" if (side == "start") == bool(model) else "input"
             before = kinds.get((model, variable))
@@ -114,8 +114,8 @@ def _structure(
                 )
             if not before:  # an enumeration would have to be defined again: no type
                 connector = _new("Connector", name=variable, kind=kind)
-                if (kind_of := own or types[0]) != "Enumeration":
-                    ET.SubElement(connector, f"{{{_SSC}}}{kind_of}")
+                if (of_type := declared or types[0]) != "Enumeration":
+                    ET.SubElement(connector, f"{{{_SSC}}}{of_type}")
                 connectors[model].append(connector)
             kinds[model, variable] = kind
             line |= {f"{side}Element": model} if model else {}

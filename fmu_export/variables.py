@@ -90,8 +90,8 @@ class Table:
         """References of the equations' inputs and constants; -1 for profiles of legs."""
         first, group, (finger, obj, _, n_profile) = self.first, self.groups[i], self.structure(i)
         states, inputs = range(group[STATE_GROUP], group[DERIVATIVES]), range(group[0], group[1])
-        own = self.scene.contacts[i].legs
-        profile = [-1 if own else first["profile"] + k for k in range(n_profile)]
+        legs = self.scene.contacts[i].legs
+        profile = [-1 if legs else first["profile"] + k for k in range(n_profile)]
         tip, body = (
             [first[key] + k for k in range(len(s.parameters))]
             for key, s in ((f"finger {i}", finger), ("object", obj))
@@ -148,11 +148,11 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
             rows.append(v)
         return at
 
-    first = {key: add(own) for key, own in _parameters(scene).items()}
+    first = {key: add(variables) for key, variables in _parameters(scene).items()}
     system, groups = SceneSystem(scene, "frame", True), []
     speed = scene.speeds(np.linspace(0.0, scene.duration, 33)).max() or None
-    for i, own in enumerate(system.state_slices):
-        starts = system.x0[own]
+    for i, part in enumerate(system.state_slices):
+        starts = system.x0[part]
         # as at sigma = 1: at sigma = 0 slip may be left out, but importers may start elsewhere
         starts[-4:] = system.carried(scene.contacts[i].start(), 1.0)
         groups.append([*map(add, contact_groups(scene, i, starts, measured, speed)), len(rows)])
@@ -205,16 +205,16 @@ def _parameters(scene: Scene) -> dict[str, Iterable[Variable]]:
 def _numbers(owner: str, surface: Surface) -> Iterator[Variable]:
     """The parameters of a body's surface."""
     for name, value in zip(number_names(surface, 1), surface.parameters):
-        own = f"{owner}.{name}", value
+        named = f"{owner}.{name}", value
         text = f"Parameter {name} of the {owner.rpartition('.')[2]}'s surface"
         if isinstance(surface, OfLengths):
             least = min(1e-6, 1e-3 * value)
-            yield _parameter(*own, METRE, text, minimum=least, nominal=value or None)
+            yield _parameter(*named, METRE, text, minimum=least, nominal=value or None)
         else:
             unit, more = METRE if name.startswith("center[") else None, dict[str, Any]()
             if isinstance(surface, Quadric):  # whose numbers depend on each other
                 more = {"causality": "local", "variability": "constant"}
-            yield _parameter(*own, unit, text, **more)
+            yield _parameter(*named, unit, text, **more)
 
 
 def _window_rows(scene: Scene) -> Iterator[Variable]:
@@ -222,12 +222,12 @@ def _window_rows(scene: Scene) -> Iterator[Variable]:
     for k, d in enumerate(scene.disturbances):
         surface = scene.contacts[int(d.contact)].finger if d.slot == 0 else scene.object
         units = [per_second(unit, 2 if d.slot < 2 else 1) for unit in chart_units(surface)]
-        own = f"disturbance[{k + 1}]."
+        stem = f"disturbance[{k + 1}]."
         what = f"disturbance of contact {int(d.contact) + 1}, {d.kind}"
-        yield _parameter(f"{own}start", d.start, SECOND, f"Start of the {what}", minimum=0.0)
-        yield _parameter(f"{own}stop", d.stop, SECOND, f"Stop of the {what}", minimum=0.0)
+        yield _parameter(f"{stem}start", d.start, SECOND, f"Start of the {what}", minimum=0.0)
+        yield _parameter(f"{stem}stop", d.stop, SECOND, f"Stop of the {what}", minimum=0.0)
         for axis, unit, value in zip("uv", units, d.value):
-            yield _parameter(f"{own}{axis}", value, unit, f"Component {axis} of the {what}")
+            yield _parameter(f"{stem}{axis}", value, unit, f"Component {axis} of the {what}")
 
 
 # --- dependencies --------------------------------------------------------------------------------
@@ -241,8 +241,8 @@ def _set_dependencies(table: Table, i: int) -> None:
     inputs = columns.index(group[0])
     for k, d in enumerate(scene.disturbances):
         for axis in range(2 if d.contact == i else 0):
-            own = first["windows"] + 4 * k
-            behind[inputs + 2 * d.slot + axis] += [own, own + 1, own + 2 + axis, first["scale"]]
+            ref = first["windows"] + 4 * k
+            behind[inputs + 2 * d.slot + axis] += [ref, ref + 1, ref + 2 + axis, first["scale"]]
     known = [tuple(sorted({r for j in np.flatnonzero(row) for r in behind[j]})) for row in found]
     for at, v in enumerate(table.rows[group[DERIVATIVES] : group[-1]]):
         v.known = known[at]

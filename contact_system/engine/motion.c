@@ -139,14 +139,14 @@ static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x,
   }
   const int n = state_size(k->in_space);
   unit_t *u = motion_table(w, m);
-  lanes_t own = x + n, c = u->r + n; /* W_1 of a finger or V of an object under accelerations */
+  lanes_t path = x + n, c = u->r + n; /* W_1 of a finger or V of an object under accelerations */
   for (int a = 0; a < 2; a++) {
     if (!m->pushed)
       EACH_LANE(i) c[a][i] = sigma[i] * (k->w[a] - m->v[a] * at->decay[i]);
     else if (has_v(m))
-      EACH_LANE(i) c[a][i] = sigma[i] * (at->w2[a][i] - own[a][i]);
+      EACH_LANE(i) c[a][i] = sigma[i] * (at->w2[a][i] - path[a][i]);
     else
-      EACH_LANE(i) c[a][i] = sigma[i] * own[a][i];
+      EACH_LANE(i) c[a][i] = sigma[i] * path[a][i];
   }
   if (any(k->offset)) {
     lanes_t d = to_parallel(w, k, x, k->offset);

@@ -217,12 +217,12 @@ static void put_states(const target_t *to, const contact_t *c, const sample_t *m
 }
 
 static void put_carried(const target_t *to, const sample_t *m) {
-  double own[2][L];
+  double path[2][L];
   for (int a = 0; a < 2; a++)
-    for (int i = 0; i < L; i++) own[a][i] = m->w[1][a][i] - m->v[a][i];
+    for (int i = 0; i < L; i++) path[a][i] = m->w[1][a][i] - m->v[a][i];
   for (int s = 0; s < 2; s++) {
     put(to, CARRIED, 3 * s, m->side[s].coordinates + THETA, 1);
-    put(to, CARRIED, 3 * s + 1, s ? own : m->w[0], 2);
+    put(to, CARRIED, 3 * s + 1, s ? path : m->w[0], 2);
   }
 }
 

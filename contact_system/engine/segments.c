@@ -40,20 +40,21 @@ static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, 
 
 /* The state of a body where its last track ends, or where the contact begins */
 static void state_of(course_t *c, int side, double *state) {
-  const contact_t *own = c->contact;
-  const int64_t n = own->n_tracks[side];
-  const body_t *b = &own->body[side];
-  const double *frame = own->row + (side ? K_FRAME_2 : K_FRAME_1), *p = frame + 3;
+  const contact_t *contact = c->contact;
+  const int64_t n = contact->n_tracks[side];
+  const body_t *b = &contact->body[side];
+  const double *frame = contact->row + (side ? K_FRAME_2 : K_FRAME_1), *p = frame + 3;
   if (n > 0) {
-    const track_t *last = own->tracks[side] + n - 1;
+    const track_t *last = contact->tracks[side] + n - 1;
     usual_state(c->w, last, last->stop, state);
   } else if (!moves_in_space(b->surface)) {
-    memcpy(state, start_place(own, side), 3 * sizeof *state);
+    memcpy(state, start_place(contact, side), 3 * sizeof *state);
   } else if (any(p) || p[2] != 0.0) {
     memcpy(state, frame, 6 * sizeof *state);
     restore_body(c->w, b, state);
   } else {
-    run_one(c->w, b->surface->tables[IN_SPACE][A_START], b->numbers, start_place(own, side), state);
+    run_one(c->w, b->surface->tables[IN_SPACE][A_START], b->numbers, start_place(contact, side),
+            state);
   }
 }
 
@@ -331,20 +332,20 @@ static void plan_segment(course_t *c, int64_t index, double *until) {
 
 static void plan_contact(work_t *w, int64_t index) {
   plan_t *plan = w->plan;
-  contact_t *own = plan->contacts + index;
-  course_t c = {.w = w, .contact = own};
-  own->row = plan->scene + S_HEADER + index * CONTACT_SIZE;
+  contact_t *contact = plan->contacts + index;
+  course_t c = {.w = w, .contact = contact};
+  contact->row = plan->scene + S_HEADER + index * CONTACT_SIZE;
   w->failure->contact = index;
-  own->body[0] = body_of(plan, own->row + K_FINGER, 0);
-  own->body[1] = body_of(plan, plan->scene + S_OBJECT, 1);
+  contact->body[0] = body_of(plan, contact->row + K_FINGER, 0);
+  contact->body[1] = body_of(plan, plan->scene + S_OBJECT, 1);
   begin(&c);
-  schedule(w, own);
+  schedule(w, contact);
   refuse_endless(&c);
   for (int side = 0; side < 2; side++) {
-    const int64_t most = (1 + side) * own->n_segments;
-    own->tracks[side] = keep(w, most, sizeof(track_t));
-    own->track_edges[side] = keep(w, most + 1, sizeof(double));
+    const int64_t most = (1 + side) * contact->n_segments;
+    contact->tracks[side] = keep(w, most, sizeof(track_t));
+    contact->track_edges[side] = keep(w, most + 1, sizeof(double));
   }
   double until[2] = {plan->scene[S_BEGIN], plan->scene[S_BEGIN]};
-  for (int64_t k = 0; k < own->n_segments; k++) plan_segment(&c, k, until);
+  for (int64_t k = 0; k < contact->n_segments; k++) plan_segment(&c, k, until);
 }

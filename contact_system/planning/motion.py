@@ -103,15 +103,15 @@ class Buffer:
         windows, solved, rows = _windows(scene, begin), _solved_frames(scene, begins), []
         legs: dict[Sequence[Leg], tuple[int, int]] = {}
         for i, (contact, start) in enumerate(zip(scene.contacts, begins)):
-            own, index = windows.get(i, ()), 0
-            if own:
-                index = self._put([x for d in own for x in (d.slot, d.start, d.stop, *d.value)])
+            acting, index = windows.get(i, ()), 0
+            if acting:
+                index = self._put([x for d in acting for x in (d.slot, d.start, d.stop, *d.value)])
             if contact.legs not in legs:
                 legs[contact.legs] = self._legs(scene.way(i))
             finger_at, object_at, angle, w1, w2_or_v, *frames = start
             theta = () if frames else (0.0,)  # the places of a Moment are u, v, theta
             frame_1, frame_2 = frames or solved.get(i, ((), ()))
-            flags = (isinstance(start, Moment), contact.follows, index, len(own))
+            flags = (isinstance(start, Moment), contact.follows, index, len(acting))
             place = (*finger_at, *theta, *object_at, *theta, angle, *w1, *w2_or_v)
             finger = self._body(contact.finger)
             spatial = *(frame_1 or _NO_FRAME), *(frame_2 or _NO_FRAME)
@@ -126,10 +126,10 @@ def _windows(scene: Scene, begin: float) -> dict[int, list[Disturbance]]:
         if d.stop > begin:
             windows.setdefault(int(d.contact), []).append(d)
     never_rests = not (windows and scene.profile.zeros(scene.duration))
-    for contact, own in windows.items():
+    for contact, disturbances in windows.items():
         if never_rests and not scene.contacts[contact].legs:
             continue
-        for d in own:
+        for d in disturbances:
             if d.accelerates and any(d.value):
                 refuse_rest(scene, contact, max(d.start, begin), d.stop)
     return windows

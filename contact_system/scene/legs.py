@@ -73,13 +73,13 @@ class Leg:
             self.profile.check(self.duration)
         else:
             put(self, "profile", STILL)
-        own = float(self.profile.arc_length(self.duration))
-        if self.length is not None and not math.isclose(own, self.length, rel_tol=_JUMP):
+        arc = float(self.profile.arc_length(self.duration))
+        if self.length is not None and not math.isclose(arc, self.length, rel_tol=_JUMP):
             raise SceneError(
-                f"length = {self.length!r}: the profile has the length {own!r} m in "
+                f"length = {self.length!r}: the profile has the length {arc!r} m in "
                 f"{self.duration:g} s; leave one of the two out, as None"
             )
-        put(self, "length", own)
+        put(self, "length", arc)
 
 
 class Stretch(NamedTuple):

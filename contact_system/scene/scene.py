@@ -292,10 +292,10 @@ PAPER_KEYS = ("figure", "reports", "recovery_time", "lateral_force")
 PAPER_NUMBERS = PAPER_KEYS[2:]
 
 
-def refuse_scene_keys(table: Mapping, own: Iterable[str]) -> None:
+def refuse_scene_keys(table: Mapping, allowed: Iterable[str]) -> None:
     """Refuse keys of the scene in another table: to TOML a line belongs to the header above it."""
     for key in table:
-        if key in SCENE_KEYS and key not in own:
+        if key in SCENE_KEYS and key not in allowed:
             raise SceneError(
                 f"key '{key}' is no key of this table but one of the scene: write it above all "
                 "headers, such as [[contacts]]"

@@ -66,8 +66,8 @@ class Aim(Steer):
         self.bodies = self.contact.finger, scene.object
         self.psi, self.goal_psi = self.contact.angle, goal.angle or 0.0
         curvatures = self._place(goal)
-        pose, own = _pose(self.psi, self.start), _pose(self.goal_psi, self.goal)
-        self.pose = None if goal.angle is None else own
+        start_pose, goal_pose = _pose(self.psi, self.start), _pose(self.goal_psi, self.goal)
+        self.pose = None if goal.angle is None else goal_pose
         if goal.pose is not None:
             self.pose = np.array(goal.pose)
         self.regions = self._regions(goal)
@@ -77,7 +77,7 @@ class Aim(Steer):
         self.sizes = [min(sizes) if is_plane(body) else body.size for body in self.bodies]
         away = [math.dist(self.start[side][0], self.goal[side][0]) for side in self.sides]
         if goal.pose is not None:
-            away = [math.dist(pose[:3, 3], [row[3] for row in goal.pose[:3]])]
+            away = [math.dist(start_pose[:3, 3], [row[3] for row in goal.pose[:3]])]
         self.far = max(away) / self.w_length
         widths = [region.widest for region in self.regions]
         unit = min([self._turning_length(*curvatures), *widths]) / self.w_length
@@ -94,7 +94,8 @@ class Aim(Steer):
             self._set_body(side)
         for region in self.regions:
             self.body[region.side].within[:] = [*region.centre.tolist(), region.radius]
-        self.start_off = float(np.linalg.norm(self.gap(np.array([x for x, _ in self.start]), pose)))
+        off = self.gap(np.array([x for x, _ in self.start]), start_pose)
+        self.start_off = float(np.linalg.norm(off))
 
     @property
     def fewest(self) -> int:

@@ -115,9 +115,9 @@ def _swept(motion: Motion, contact: int, parts: int) -> np.ndarray:
     t, speeds = [], []
     for leg in motion.scene.way(contact):
         span = leg.stop - leg.start
-        own = span * (turn - np.sin(turn)) / (2 * math.pi)
-        t.append(leg.start + own)
-        speeds.append(leg.profile(own) * span * (1 - np.cos(turn)))
+        tau = span * (turn - np.sin(turn)) / (2 * math.pi)
+        t.append(leg.start + tau)
+        speeds.append(leg.profile(tau) * span * (1 - np.cos(turn)))
     results: Any = motion.evaluate(np.concatenate(t), (FRAMES, "carried"), gaps=True)
     frames, velocity = (results[name][:, contact] for name in (FRAMES, "carried"))
     p, q, k = frames[..., 3:6], frames[..., 6:9], frames[..., 9:]

@@ -90,17 +90,17 @@ def reach(
     seconds = finite_number(seconds, "seconds", "not below 0")
     rest = (Leg(0.0, 0.0, scene.duration),)
     contacts, residual, texts = list(scene.contacts), 0.0, []
-    share = seconds / sum(own is not None for own in goals)
-    for i, own in enumerate(goals):
-        if own is None:
+    share = seconds / sum(wanted is not None for wanted in goals)
+    for i, wanted in enumerate(goals):
+        if wanted is None:
             contacts[i] = dataclasses.replace(contacts[i], legs=rest)
             continue
-        route, tried = _Search(scene, i, own, longest).shortest(legs, share)
+        route, tried = _Search(scene, i, wanted, longest).shortest(legs, share)
         contacts[i], residual = route.scene.contacts[0], max(residual, route.residual)
         texts.append(f"{scene.contact_name(i)}: {tried}")
     legged = scene.replace(contacts=contacts, profile=STILL, **NO_CLAIMS)
     legs_by_contact = tuple(tuple(contact.legs) for contact in legged.contacts)
-    whole = sum(leg.length or 0.0 for own in legs_by_contact for leg in own)
+    whole = sum(leg.length or 0.0 for path in legs_by_contact for leg in path)
     return Route(legged, legs_by_contact, whole, residual, "; ".join(texts))
 
 

@@ -227,8 +227,8 @@ class Search:
         yield pair[strip], phi[strip] + width[strip] * share, s, limit[strip]
         folds = left[k, 3, strip] * right[k, 3, strip] < 0  # a caustic: two geodesics may meet b
         for side in (0.0, 1.0):
-            own = strip[folds]
-            yield pair[own], phi[own] + side * width[own], s[folds], limit[own]
+            folded = strip[folds]
+            yield pair[folded], phi[folded] + side * width[folded], s[folds], limit[folded]
         if coarse.any():
             pair, limit, phi, half = (w[coarse] for w in (pair, limit, phi, 0.5 * width))
             halves = np.tile(pair, 2), np.tile(limit, 2), np.concatenate([phi, phi + half])
