@@ -129,9 +129,8 @@ def rejections(plan: Plan) -> list[Rejection]:
     t = np.unique(np.concatenate([plan.sample_times(1001), *times]))
     slip = plan.slip_speed(t)
     since, level, last = _last_slip(plan, t, slip)
-    reported = math.nan
-    if not is_dynamic(plan.scene):
-        reported = plan.scene.paper.get("recovery_time", reported)
+    paper = {} if is_dynamic(plan.scene) else plan.scene.paper
+    reported = paper.get("recovery_time", math.nan)
     result = []
     for i, k in enumerate(last.tolist()):
         if level[i] == 0 or k < 0 or k == len(t) - 1:

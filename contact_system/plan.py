@@ -97,14 +97,14 @@ class Plan:
         self.scene, self.tolerance, self.method = scene, checked_tolerance(tolerance), method
         self.solver, self.start, self.starts = solver, start, starts
         self.end = scene.duration
-        given = scene, self.tolerance, start, starts
+        inputs = scene, self.tolerance, start, starts
         self._motion: Any
         if method == "auto":
-            self._motion = Motion(*given)
+            self._motion = Motion(*inputs)
         else:
             from .planning.chart_solution import ChartMotion  # scipy, which only this method needs
 
-            self._motion = ChartMotion(*given, solver)
+            self._motion = ChartMotion(*inputs, solver)
 
     def __repr__(self) -> str:
         count = len(self.scene.contacts)

@@ -130,10 +130,9 @@ class SceneSystem:
 
     def _forms(self) -> list[Form]:
         scene, chart = self.scene, self.coordinates == "chart"
-        growths: tuple[tuple[float, float], ...] = ()
         law, cancels_growth = scene.gain.law, scene.gain.row.cancels_growth
-        if cancels_growth:  # integrators may go far beyond the horizon
-            growths = tuple(scene.profile.growths(0.0, 1e3 * scene.duration))
+        far = 1e3 * scene.duration  # integrators may go beyond the horizon
+        growths = tuple(scene.profile.growths(0.0, far) if cancels_growth else ())
         forms = []
         for i, contact in enumerate(scene.contacts):
             slots = {d.slot for d in scene.disturbances if d.contact == i}

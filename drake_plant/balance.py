@@ -39,7 +39,7 @@ KNOTS = 51  # times at which a plan is balanced before it is simulated
 UNIT = 1e-6  # how far from 1 a normal's length may be
 LEFT = 1e-3  # least part of the wrench that an error reports as not balanced
 NONE, ROUNDING = 1e-14, 1e-6  # between these, a part of the wrench that no forces exert is rounding
-DEAR = 1e6  # cost of a wrench that is left, over that of forces, both squared and scaled to 1
+WRENCH_COST = 1e6  # of a wrench that is left, over that of forces, both squared and scaled to 1
 OUTPUTS = {"contact_forces": 3, "normal_force": 1, "friction_used": 1}  # numbers of each contact
 
 
@@ -192,7 +192,7 @@ def _solve(
     along = normals[:, :, None]
     across = np.eye(3) - along * normals[..., None]
     cone = np.concatenate([cones[:, None, None] * along, across], axis=2)
-    costs = 2 * np.diag([*np.ones(3 * n), *np.full(left.shape[1], DEAR)])
+    costs = 2 * np.diag([*np.ones(3 * n), *np.full(left.shape[1], WRENCH_COST)])
     for k in range(m):
         unknowns = np.append(forces[k], left[k])
         matrix = np.hstack([matrices[k], np.eye(6, left.shape[1])])

@@ -317,15 +317,15 @@ class ContactGauges:
         """Slip, normal force, tangential force in E2, state, contact point in O: (n, 17)."""
         self._motions.run()
         for contact, (pressing, share, k_share) in zip(self._contacts, self._sums):
-            probe, calc_forces, seen, found, moved, given, forces, result = contact
+            probe, calc_forces, seen, found, moved, inputs, forces, result = contact
             # slip and forces, where the step that ended now began
             seen[:18], seen[18], seen[19] = moved[:18], share, 0.0  # slip follows from the twist
             if pressing:
                 probe.find(moved[21:24], moved[18:21])  # C in O and in F
             else:
                 probe.find(probe.approach())
-            given[:21], given[21:30] = found[ON_OBJECT.start : GAP + 1], moved[21:30]
-            given[30], result[:2] = k_share, found[SLIP]
+            inputs[:21], inputs[21:30] = found[ON_OBJECT.start : GAP + 1], moved[21:30]
+            inputs[30], result[:2] = k_share, found[SLIP]
             calc_forces()
             result[2:5] = forces if pressing else NOTHING
             # where the contact is now, with the slip of the step as known

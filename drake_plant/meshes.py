@@ -17,8 +17,8 @@ only within a strip about that curve.
 
 Surfaces that close around a centre start from an icosahedron, others from squares of their chart. A
 domain has its own coordinates of the surface. ``place`` gives their points and unit normals out of
-the body, ``midpoints`` the coordinates half way between others, and ``base`` those of a mesh, and
-its triangles, with so many parts a side: at least ``coarsest``; ``patches`` for the two shades.
+the body, ``midpoints`` the coordinates half way between others, and ``base(size)`` those of a mesh
+of so many parts a side, and its triangles. ``coarsest`` is the least, ``patches`` that of shades.
 
 SI units, radians.
 """
@@ -161,8 +161,8 @@ def _unit(x: Array) -> Array:
 def _gradient(surface: ImplicitSurface, points: Array) -> Array:
     """Gradient of the equation F, as its slopes along the axes, (n, 3)."""
     n = len(points)
-    given = np.vstack([np.tile(points.T, 3), np.repeat(np.eye(3), n, axis=1)])
-    return run(surface.tables.ray, given, surface.numbers)[1].reshape(3, n).T
+    rays = np.vstack([np.tile(points.T, 3), np.repeat(np.eye(3), n, axis=1)])
+    return run(surface.tables.ray, rays, surface.numbers)[1].reshape(3, n).T
 
 
 def icosphere(parts: int) -> tuple[Array, Triangles]:

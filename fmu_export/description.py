@@ -209,12 +209,12 @@ def _variable(variable: Variable, fmi_version: str, exchange: bool) -> ET.Elemen
         "start": " ".join(map(_number, variable.start)) or None,
         "reinit": "true" if exchange and variable.jumps else None,
     }
-    given = {name: value for name, value in numeric.items() if value is not None}
+    attributes = {name: value for name, value in numeric.items() if value is not None}
     if fmi_version == "2.0":
         element = ET.Element("ScalarVariable", common)
-        real = ET.SubElement(element, "Real", given)
+        real = ET.SubElement(element, "Real", attributes)
     else:
-        element = real = ET.Element("Float64", common | given)
+        element = real = ET.Element("Float64", common | attributes)
         for size in variable.shape:
             ET.SubElement(element, "Dimension", start=str(size))
     if variable.derivative is not None:

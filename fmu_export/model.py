@@ -94,17 +94,17 @@ def measured(finger: Surface, obj: Surface, what: str) -> Table:
     """
     if what == "states":
         point = ca.SX.sym("states", 9)
-        constants, roots = list[ca.SX](), list[ca.SX]()
+        columns, roots = list[ca.SX](), list[ca.SX]()
         for s, uv in ((finger, point[0:2]), (obj, point[4:6])):
             numbers = number_symbols(s)
-            constants += [numbers, ca.SX.sym("size")]
+            columns += [numbers, ca.SX.sym("size")]
             roots.append(ca.vec(s.geometry_expr(numbers, uv).metric_root))
-        given, result = ca.vertcat(*constants), ca.vertcat(0, 1, point, *roots)
+        constants, result = ca.vertcat(*columns), ca.vertcat(0, 1, point, *roots)
     else:
-        measurement, given, *results = measured_contact(finger, obj)
+        measurement, constants, *results = measured_contact(finger, obj)
         ends = (measurement.numel() - k for k in (22, 10, 4, 0))
         unknowns, pose, twist, others = ca.vertsplit(measurement, [0, *ends])
         point = ca.vertcat(unknowns, twist, *(pose[k : k + 3] for k in (0, 4, 8)), pose[3::4])
         # slip is at the object's surface, and not known
         result = ca.substitute(ca.vertcat(*results[:4], results[-1]), others, 0)
-    return Table(ca.Function("measured", [point, given], [ca.densify(ca.cse(result))]))
+    return Table(ca.Function("measured", [point, constants], [ca.densify(ca.cse(result))]))

@@ -63,7 +63,6 @@ class Variable:
 
     @property
     def size(self) -> int:
-        """Number of elements."""
         return math.prod(self.shape)
 
     @property

@@ -65,8 +65,8 @@ def export_ssp(
     with tempfile.TemporaryDirectory(prefix="contact-system-") as folder:
         for k, (name, model) in enumerate(models.items()):
             if isinstance(model, Scene):
-                given = ("2.0", ("CoSimulation",), platforms)
-                model = export_fmu(model, Path(folder) / "own.fmu", *given)
+                arguments = ("2.0", ("CoSimulation",), platforms)
+                model = export_fmu(model, Path(folder) / "own.fmu", *arguments)
             source = f"resources/{k + 1}.fmu"  # models' names may need escapes in a URI
             found[name] = source, _read(name, model)
             files[source] = Path(model).read_bytes()

@@ -123,14 +123,8 @@ static int64_t facts(const plan_t *plan, int64_t contact, int64_t room, fact_t *
     for (int64_t i = 0; i < c->n_tracks[s]; i++, n++) {
       const track_t *k = c->tracks[s] + i;
       if (n < room)
-        out[n] = (fact_t){.start = k->drive->start,
-                          .stop = k->stop,
-                          .side = s,
-                          .kind = k->kind,
-                          .in_space = k->in_space,
-                          .by_length = k->by_length,
-                          .panels = k->panels.n,
-                          .reason = k->reason};
+        out[n] = (fact_t){k->drive->start, k->stop,      s,           k->kind,
+                          k->in_space,     k->by_length, k->panels.n, k->reason};
     }
   return n;
 }

@@ -167,9 +167,9 @@ class ChartContact:
         if not len(t):
             return np.empty((0, *SHAPES[name]))
         system, interval = self._system, np.searchsorted(self._edges[1:-1], t, side="right")
-        given = t[None], self._solution(t), self._acting[interval].T, system.held0
+        arguments = t[None], self._solution(t), self._acting[interval].T, system.held0
         function = system.function(OUTPUTS.get(name, name))
-        values = function(*given, system.parameters).full().T
+        values = function(*arguments, system.parameters).full().T
         if name == "slip_speed":
             return np.hypot(*values.T)
         if name == "pose":

@@ -212,10 +212,10 @@ class Motion:
                 raise failed(self.scene, failure)
         return results
 
-    def _call(self, function: Any, *given: Any) -> None:
+    def _call(self, function: Any, *arguments: Any) -> None:
         """Call a function of the engine on this plan; raises its error."""
         failure = binding.Failure()
-        if function(self, *given, byref(failure)):
+        if function(self, *arguments, byref(failure)):
             raise failed(self.scene, failure)
 
     def moments(self, t: float) -> list[Moment]:

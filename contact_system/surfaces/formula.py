@@ -37,11 +37,9 @@ class Formula:
 
     @property
     def named(self) -> dict[str, float]:
-        """The values by name."""
         return dict(zip(self.names, self.values))
 
     def function(self) -> ca.Function:
-        """The function of (named parameters, *variables)."""
         return ca.Function.deserialize(self.code)
 
     def __call__(self, p: ca.SX, *variables: ca.SX) -> ca.SX:

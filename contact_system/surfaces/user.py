@@ -420,8 +420,8 @@ class ImplicitSurface(UserSurface):
         across = np.sin(u).ravel()
         ray = np.stack([across * np.cos(turned), across * np.sin(turned), np.cos(u).ravel()])
         t = np.empty(ray.shape[1])
-        given = address(self.numbers), self.size, len(t), address(ray), address(t)
-        if rays(self.tables.ray.address, *given):
+        arguments = address(self.numbers), self.size, len(t), address(ray), address(t)
+        if rays(self.tables.ray.address, *arguments):
             raise MemoryError
         if not np.all((t > 0) & (t < math.inf)):
             self._refuse(u.ravel(), v.ravel(), t)
