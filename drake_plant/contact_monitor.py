@@ -69,6 +69,8 @@ NOTHING = np.zeros(3).data
 MOTION_INPUTS = {"X_WO": 12, "V_WO": 6, "X_WF": 12, "V_WF": 6, "point": 3, "force": 3, "torque": 3}
 """What Drake tells of a contact, in the world: motion of both bodies, the point C where the contact
 force on the finger acts, this force, and its torque about C."""
+THEN, IN_F, IN_O, LOAD, NOW = slice(18), slice(18, 21), slice(21, 24), slice(21, 30), slice(30, 48)
+"""Columns of the results of `_motion`; LOAD: C, force and torque in O."""
 FORCE_INPUTS = {"at": 3, "E2": 9, "K2": 4, "K1": 4, "gap": 1}
 FORCE_INPUTS |= {"point": 3, "force": 3, "torque": 3, "k_share": 1}
 """What the forces of a contact follow from, in O where the step began: the probe's results from the
@@ -319,17 +321,17 @@ class ContactGauges:
         for contact, (pressing, share, k_share) in zip(self._contacts, self._sums):
             probe, calc_forces, seen, found, moved, inputs, forces, result = contact
             # slip and forces, where the step that ended now began
-            seen[:18], seen[18], seen[19] = moved[:18], share, 0.0  # slip follows from the twist
+            seen[:18], seen[18], seen[19] = moved[THEN], share, 0.0  # slip follows from the twist
             if pressing:
-                probe.find(moved[21:24], moved[18:21])  # C in O and in F
+                probe.find(moved[IN_O], moved[IN_F])
             else:
                 probe.find(probe.approach())
-            inputs[:21], inputs[21:30] = found[ON_OBJECT.start : GAP + 1], moved[21:30]
+            inputs[:21], inputs[21:30] = found[ON_OBJECT.start : GAP + 1], moved[LOAD]
             inputs[30], result[:2] = k_share, found[SLIP]
             calc_forces()
             result[2:5] = forces if pressing else NOTHING
             # where the contact is now, with the slip of the step as known
-            seen[:18], seen[18], seen[19], seen[20:] = moved[30:48], 0.0, 1.0, result[:2]
+            seen[:18], seen[18], seen[19], seen[20:] = moved[NOW], 0.0, 1.0, result[:2]
             probe.find(found[ON_OBJECT], found[ON_FINGER])
             result[5:14], result[14:17] = found[STATES], found[ON_OBJECT]
         return self._result
@@ -338,7 +340,7 @@ class ContactGauges:
 @per_structure
 def _motion() -> Table:
     """Table: `MOTION_INPUTS`; step -> X_OF (12), V_OF_O (6), C in F, C in O, force and torque in O,
-    when the step that has just ended began; X_OF, V_OF_O of now: (48).
+    when the step that has just ended began; X_OF, V_OF_O of now.
 
     A discrete plant has moved the bodies from there with the velocities that they have now.
     """
