@@ -95,7 +95,7 @@ class Steered(Structure):
     """``steered_t``: one body of a contact that is steered."""
 
     _fields_ = [
-        ("how", c_void_p),
+        ("geodesic", c_void_p),
         *_each(c_double, "gauss normal_curvature"),
         ("start", c_double * 9),
         *_each(c_double * 3, "place goal"),

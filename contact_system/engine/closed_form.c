@@ -30,7 +30,7 @@ static void lay_circle(work_t *w, const double *state, track_t *k) {
     k->across[j] = k->direction[0] * q[j] - k->direction[1] * p;
   }
   k->kind = CIRCLE, k->rate = length / b->size;
-  k->far = k->rate * length_at(k->drive, k->stop - k->drive->start) > FAR_PHASE;
+  k->long_path = k->rate * length_at(k->drive, k->stop - k->drive->start) > FAR_PHASE;
 }
 
 /* (x, p) at phases, or x alone */
@@ -53,7 +53,7 @@ static void phases(const track_t *k, const double *tau, double *phase, double *t
   horners(k->drive->length, k->drive->n_sigma + 1, tau, length);
   for (int i = 0; i < L; i++) {
     double angle = k->rate * length[i], before = 0.0;
-    if (k->far) {
+    if (k->long_path) {
       const twofold_t rate = over(twofold_norm(k->w[0], k->w[1]), twofold(k->body->size));
       angle = without_turns(times(rate, twofold_length(k->drive, tau[i])), &before);
     }
@@ -79,7 +79,7 @@ static void lay_line(work_t *w, const double *state, track_t *k) {
   k->kind = LINE;
   const double length = length_at(k->drive, k->stop - k->drive->start);
   for (int a = 0; a < 2; a++)
-    k->far |= fabs(k->slope[a] * length) + fabs(state[a]) > FAR_PHASE * k->body->size;
+    k->long_path |= fabs(k->slope[a] * length) + fabs(state[a]) > FAR_PHASE * k->body->size;
 }
 
 /* u, v, theta at local times; with `reduced`, whole turns are taken off long paths. */
@@ -91,7 +91,7 @@ static void line_at(const track_t *k, const double *tau, int reduced, lanes_t st
   if (k->panels.n) panels_at(&k->panels, 0, 1, tau, g);
   for (int a = 0; a < 2; a++) {
     EACH_LANE(i) state[a][i] = k->begin[a] + k->slope[a] * length[i];
-    for (int i = 0; i < L && reduced && k->far; i++) {
+    for (int i = 0; i < L && reduced && k->long_path; i++) {
       twofold_t at = times(twofold(k->slope[a]), twofold_length(k->drive, tau[i]));
       double turns;
       at = plus(at, twofold(k->begin[a]));

@@ -164,7 +164,7 @@ typedef struct {
 
 /* one body of a contact that is steered to a goal */
 typedef struct {
-  const geodesic_t *how;          /* NULL: a sphere about the origin or a plane, */
+  const geodesic_t *geodesic;     /* NULL: a sphere about the origin or a plane, */
   double gauss, normal_curvature; /* with this Gaussian and normal curvature, 1/m^2 and 1/m */
   double start[9], place[3];      /* x p q, the contact frame; u v theta */
   double goal[3];                 /* the contact point, if it is `wanted` */
@@ -212,7 +212,7 @@ typedef struct {
   /* n geodesics from start[6 or 3][n], x p or u v theta, along p over length[n], errors below
      tolerance[n] of the size: x p q J J' M M' where they end, end[13][n], NaN for those that cannot
      be followed; and unless it is NULL, x J at m equal parts, path[m][4][n], to some digits */
-  int (*geodesics)(const geodesic_t *how, int64_t n, const double *start, const double *length,
+  int (*geodesics)(const geodesic_t *geodesic, int64_t n, const double *start, const double *length,
                    const double *tolerance, double *end, int64_t m, double *path);
   /* `evaluate` at one time, after `anchor` if STATES or SLIP need it. The working memory stays with
      the plan, which one thread at a time may use. */

@@ -13,7 +13,7 @@ enum { MOST_STEPS = 100000, MOST_BRIEF = 1000 };
 static const double LEAST_STEP = 1e-15, JUMP = 1e-8, BRIEF = 1e-6, EASY = 1e-3;
 
 typedef struct {
-  const geodesic_t *how;
+  const geodesic_t *geodesic;
   unit_t rates, restore, frame, lame;
   int in_space, state, rows; /* numbers of a state, without and with Jacobi fields */
   int lost[L];               /* lanes that cannot be followed */
@@ -53,7 +53,7 @@ static void combine_stages(const lines_t *g, const double *a, int n, double h, i
 
 /* Units of the states' errors, of which the tolerance is a fraction */
 static void find_units(lines_t *g) {
-  const double size = g->how->size;
+  const double size = g->geodesic->size;
   const double fields[FIELDS] = {size, 1.0, 1.0, 1.0 / size};
   if (g->in_space)
     for (int r = 0; r < 6; r++) fill_lanes(g->unit[r], r < 3 ? size : 1.0);
@@ -128,8 +128,8 @@ static void give_up(lines_t *g, const double *error, double allowed) {
 static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
   double longest = 0.0, error[L];
   for (int i = 0; i < L; i++) longest = fmax(longest, fabs(g->length[i]));
-  const double first = fmin(g->how->first / longest, 1.0);
-  double most = g->how->longest / longest, tau = 0.0, h = first;
+  const double first = fmin(g->geodesic->first / longest, 1.0);
+  double most = g->geodesic->longest / longest, tau = 0.0, h = first;
   int fresh = 1, brief = 0;
   show(g);
   for (int64_t tries = 0; tau < 1.0; tries++) {
@@ -172,25 +172,26 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
 }
 
 /* Returns 0 if there is no memory. */
-static int load_lines(lines_t *g, const geodesic_t *how) {
-  g->how = how, g->in_space = moves_in_space(how->surface);
+static int load_lines(lines_t *g, const geodesic_t *geodesic) {
+  g->geodesic = geodesic, g->in_space = moves_in_space(geodesic->surface);
   g->state = state_size(g->in_space), g->rows = g->state + FIELDS;
-  const table_t *const *tables = how->surface->tables[g->in_space];
-  const double *numbers = how->numbers;
+  const table_t *const *tables = geodesic->surface->tables[g->in_space];
+  const double *numbers = geodesic->numbers;
   return load(&g->frame, tables[g->in_space ? A_SECOND : C_FRAME], numbers) &&
          load(g->in_space ? &g->restore : &g->lame, tables[g->in_space ? A_RESTORE : C_LAME],
               numbers) &&
-         load(&g->rates, how->rates, numbers);
+         load(&g->rates, geodesic->rates, numbers);
 }
 
 static void drop_lines(lines_t *g) {
   free(g->rates.r), free(g->frame.r), free(g->restore.r), free(g->lame.r);
 }
 
-static int geodesics(const geodesic_t *how, int64_t n, const double *start, const double *length,
-                     const double *tolerance, double *end, int64_t m, double *path) {
+static int geodesics(const geodesic_t *geodesic, int64_t n, const double *start,
+                     const double *length, const double *tolerance, double *end, int64_t m,
+                     double *path) {
   lines_t *g = calloc(1, sizeof *g);
-  const int ready = g && load_lines(g, how);
+  const int ready = g && load_lines(g, geodesic);
   for (int64_t i = 0; ready && i < n; i += L) {
     const int count = (int)(n - i < L ? n - i : L);
     memset(g->lost, 0, sizeof g->lost);

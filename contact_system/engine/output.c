@@ -112,7 +112,7 @@ static void sample_body(work_t *w, sample_t *m, int s, int n, int needs) {
         a->velocity[j][i] = m->sigma[i] * (m->w[s][j][i] - (s ? m->v[j][i] : 0.0));
   if (needs & NEED_COORDINATES) find_coordinates(w, a, x, turns, n);
   lanes_t state = a->state;
-  if (k->kind == LINE && k->far && needs & (NEED_POINT | NEED_FRAME)) {
+  if (k->kind == LINE && k->long_path && needs & (NEED_POINT | NEED_FRAME)) {
     line_at(k, tau, 1, far);
     state = far;
   }

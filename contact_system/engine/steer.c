@@ -69,7 +69,7 @@ static void turn_path(rolled_t *r, int n, const double *turn) {
 /* Moves the frame along p, by a part of a leg. */
 static void advance(rolled_t *r, const double *length) {
   const steered_t *body = r->body;
-  if (body->how) {
+  if (body->geodesic) {
     lines_t *g = &r->lines;
     memcpy(g->length, length, sizeof g->length);
     for (int l = 0; l < L; l++)
@@ -192,7 +192,7 @@ static void arrive_at_place(search_t *w, int side) {
 static void tilt(rolled_t *r, int n, double (*ahead)[L], double (*aside)[L]) {
   double flat[3][L];
   double (*form)[L] = flat;
-  if (r->body->how) {
+  if (r->body->geodesic) {
     memcpy(r->shape.r, r->lines.y, (size_t)r->lines.state * sizeof *r->lines.y);
     form = run(&r->shape);
   } else
@@ -395,12 +395,12 @@ static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z
   int ready = 1;
   for (int side = 0; side < 2; side++) {
     rolled_t *r = w->rolled + side;
-    const geodesic_t *how = aim->body[side].how;
+    const geodesic_t *geodesic = aim->body[side].geodesic;
     r->body = aim->body + side, r->lines.tolerance = aim->tolerance;
-    if (!how) continue;
-    const surface_t *s = how->surface;
+    if (!geodesic) continue;
+    const surface_t *s = geodesic->surface;
     const table_t *shape = s->tables[moves_in_space(s)][M_SHAPE];
-    ready = ready && load_lines(&r->lines, how) && load(&r->shape, shape, how->numbers);
+    ready = ready && load_lines(&r->lines, geodesic) && load(&r->shape, shape, geodesic->numbers);
   }
   if (ready) search(w, count, z);
   for (int l = 0; l < count; l++) off[l] = sqrt(w->best.size[l]);

@@ -50,7 +50,7 @@ typedef struct {
   double at[3], along[3], across[3], direction[2], rate;
   /* lines in a developed chart: begin + slope s - aside g + offset tau, s = int sigma */
   double begin[3], slope[2], aside[2];
-  int far; /* so long that whole turns have to be taken off in doubled precision */
+  int long_path; /* so long that whole turns have to be taken off in doubled precision */
   /* where the branch of the chart is known: places on the panels, or phases of one revolution */
   int64_t n_anchors;
   const double *anchor_at;

@@ -204,7 +204,7 @@ class Aim(Steer):
         elif not is_plane(body):
             follower = Follower(body)
             self._followers.append(follower)
-            data.how = ctypes.addressof(follower)
+            data.geodesic = ctypes.addressof(follower)
             if not follower.space:
                 data.place[:] = [*getattr(self.contact, f"{SIDES[side]}_at"), 0.0]
 
