@@ -18,7 +18,7 @@ import numpy as np
 
 N_TABLES = 7
 OTHER = ("geometry", "inverse", "geodesic")
-"""The tables that only Python uses, in the order of engine.h."""
+"""Tables that the engine runs only for its callers, in the order of engine.h."""
 
 
 def _each(ctype: Any, names: str) -> list[tuple[str, Any]]:
@@ -29,10 +29,8 @@ def _each(ctype: Any, names: str) -> list[tuple[str, Any]]:
 class TableData(Structure):
     """``table_t``."""
 
-    _fields_ = [
-        *_each(c_int32, "n_in n_const n_out n_lit first_lit first_out n_regs twin"),
-        *_each(c_void_p, "prologue body literals"),
-    ]
+    _fields_ = _each(c_int32, "n_in n_const n_out n_lit first_lit first_out n_regs twin")
+    _fields_ += _each(c_void_p, "prologue body literals")
 
     @property
     def address(self) -> int:
@@ -61,28 +59,21 @@ class Program(Structure):
 class Followed(Structure):
     """``geodesic_t``: how geodesics of a surface are followed."""
 
-    _fields_ = [
-        *_each(c_void_p, "surface rates numbers"),
-        *_each(c_double, "size first longest"),
-    ]
+    _fields_ = _each(c_void_p, "surface rates numbers") + _each(c_double, "size first longest")
 
 
 class Failure(Structure):
     """``failure_t``: why a call failed."""
 
-    _fields_ = [
-        *_each(c_int64, "code contact side panels by_length pushed tried most costliest"),
-        *_each(c_double, "t end value u v"),
-    ]
+    _fields_ = _each(c_int64, "code contact side panels by_length pushed tried most costliest")
+    _fields_ += _each(c_double, "t end value u v")
 
 
 class Fact(Structure):
     """``fact_t``: how one body was planned on one interval."""
 
-    _fields_ = [
-        *_each(c_double, "start stop"),
-        *_each(c_int64, "side kind in_space by_length panels reason"),
-    ]
+    _fields_ = _each(c_double, "start stop")
+    _fields_ += _each(c_int64, "side kind in_space by_length panels reason")
 
 
 class Sensor(Structure):

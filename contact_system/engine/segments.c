@@ -110,13 +110,12 @@ static double first_length(const body_t *b) { return FIRST * sqrt(b->least_radiu
 static void add_geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
   const body_t *b = &c->contact->body[side];
   /* with imposed rolling, that the finger's curve is a geodesic is a result, not an assumption */
-  const int closed_form =
-      reason == FOLLOWING && side == 0 ? NO_CLOSED_FORM : b->surface->closed_form;
-  if (closed_form != NO_CLOSED_FORM) {
+  const int form = reason == FOLLOWING && side == 0 ? NO_CLOSED_FORM : b->surface->closed_form;
+  if (form != NO_CLOSED_FORM) {
     double state[6];
     state_of(c, side, state);
     track_t *k = add_track(c, side, drive, stop, reason);
-    (closed_form == GREAT_CIRCLES ? lay_circle : lay_line)(c->w, state, k);
+    (form == GREAT_CIRCLES ? lay_circle : lay_line)(c->w, state, k);
     return;
   }
   motion_t m = add_motion(c, side, drive, reason, UNDISTURBED, UNDISTURBED);
