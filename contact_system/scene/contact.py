@@ -12,7 +12,6 @@ import numpy as np
 from ..checks import did_you_mean, finite_number, finite_numbers, is_plain, of_kind, within
 from ..errors import SceneError
 from ..surfaces import Surface
-from ..theory.equations import reflection_rows
 from ..theory.profile import Numbers, Profile
 from .legs import Leg
 
@@ -50,9 +49,9 @@ def all_of(kind: type | tuple[type, ...], values: Any, what: str, names: str) ->
 
 
 def rolled(angle: float, w: Any) -> Any:
-    """R_psi w with psi = angle."""
-    (a, b), (c, d) = reflection_rows(math.cos(angle), math.sin(angle))
-    return a * w[0] + b * w[1], c * w[0] + d * w[1]
+    """R_psi w with psi = angle, as `theory.equations.reflection`, which plans need not load."""
+    c, s = math.cos(angle), math.sin(angle)
+    return c * w[0] - s * w[1], -s * w[0] - c * w[1]
 
 
 def rotated(cosine: Any, sine: Any, w: Pair) -> Any:
