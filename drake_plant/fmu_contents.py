@@ -1,4 +1,4 @@
-"""What is in an FMU that FmuSystem can run, its variables port by port, or why it cannot."""
+"""Reads an FMU, and refuses one that FmuSystem cannot run; variables of the system's ports."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from contact_system.errors import ContactSystemError
 
 
 def read_description(fmu: Path, folder: Path) -> Any:
-    """Of an FMU that FmuSystem can run; or an error that says why it cannot."""
+    """The model description; raises an error that says why FmuSystem cannot run the FMU."""
     try:
         xml = folder / "modelDescription.xml"
         require_regular(xml)
@@ -24,7 +24,7 @@ def read_description(fmu: Path, folder: Path) -> Any:
         description = fmpy.read_model_description(str(folder), validate=False)
         elements = sum(map(size_of, description.modelVariables))
         within("FMU_ELEMENTS", elements, "elements of all its variables", ContactSystemError)
-    except Exception as error:  # fmpy raises bare ones
+    except Exception as error:  # fmpy raises errors of the class Exception itself
         raise ContactSystemError(
             f"{fmu}: its modelDescription.xml is not one of FMI 2 or 3: {type(error).__name__}: "
             f"{error}; export it again"
@@ -46,7 +46,7 @@ def library_of(fmu: Path, folder: Path, description: Any) -> Path:
     """The shared library for this machine."""
     name = description.coSimulation.modelIdentifier + fmpy.sharedLibraryExtension
     places = [fmpy.platform_tuple]
-    if description.fmiVersion.startswith("2."):  # has names of its own for the older machines
+    if description.fmiVersion.startswith("2."):  # where, for one, x86_64-linux is linux64
         places.append(fmpy.platform)
     for place in places:
         path = folder / "binaries" / place / name
@@ -64,7 +64,7 @@ def library_of(fmu: Path, folder: Path, description: Any) -> Path:
 
 # --- variables ------------------------------------------------------------------------------------
 
-# FMI type -> numpy's, for what a vector port can carry.
+# FMI type -> numpy type, for the types that a vector port can carry.
 KINDS: dict[str, Any] = {"Real": np.float64, "Integer": np.int32, "Boolean": np.bool_}
 KINDS |= {"Float32": np.float32, "Float64": np.float64}
 KINDS |= {"Int8": np.int8, "Int16": np.int16, "Int32": np.int32, "Int64": np.int64}
@@ -72,15 +72,17 @@ KINDS |= {"UInt8": np.uint8, "UInt16": np.uint16, "UInt32": np.uint32, "UInt64":
 
 
 class PortVariables:
-    """The variables of one port, read or written by one call for each FMI type; ``names`` are those
-    of the elements, ``x[2]`` for an element of an array."""
+    """The variables of one port, read and written by one call for each FMI type; ``names`` has a
+    name for each element, such as ``x[2]`` for an element of an array."""
 
     def __init__(self, variables: Sequence[Any], version: int):
         self.names = tuple(itertools.chain.from_iterable(map(element_names, variables)))
-        self._calls: list[tuple[str, list[int], Array]] = []
-        first = np.cumsum([0, *(size_of(v) for v in variables)])
-        for kind in dict.fromkeys(fmi_kind(v, version) for v in variables):
-            some = [i for i, v in enumerate(variables) if fmi_kind(v, version) == kind]
+        self._calls: list[tuple[str, list[int], Array]] = []  # type, references, elements
+        first = np.cumsum([0, *map(size_of, variables)])
+        enumeration = "Integer" if version == 2 else "Int64"  # the type that gets and sets it
+        kinds = [enumeration if v.type == "Enumeration" else v.type for v in variables]
+        for kind in dict.fromkeys(kinds):
+            some = [i for i, other in enumerate(kinds) if other == kind]
             rows = np.concatenate([np.arange(first[i], first[i + 1]) for i in some])
             self._calls.append((kind, [variables[i].valueReference for i in some], rows))
         self._version = version
@@ -94,12 +96,12 @@ class PortVariables:
         return values
 
     def write(self, fmu: Any, values: Array) -> None:
-        """Set all elements; values: (n,), as :meth:`check` lets through."""
+        """Set all elements to values, (n,), in which :meth:`check` found no problem."""
         for kind, references, rows in self._calls:
             getattr(fmu, f"set{kind}")(references, values[rows].astype(KINDS[kind]).tolist())
 
     def check(self, values: Array) -> str | None:
-        """What the variables cannot take, in words."""
+        """The first value that its variable cannot take, in words; None if there is none."""
         for kind, _, rows in self._calls:
             given = values[rows]
             with np.errstate(invalid="ignore", over="ignore"):
@@ -112,14 +114,8 @@ class PortVariables:
         return None
 
 
-def fmi_kind(variable: Any, version: int) -> str:
-    """The FMI type whose functions get and set a variable."""
-    if variable.type == "Enumeration":
-        return "Integer" if version == 2 else "Int64"
-    return variable.type
-
-
 def size_of(variable: Any) -> int:
+    """The number of elements: 1, or those of an array."""
     return math.prod(variable.shape or ())
 
 

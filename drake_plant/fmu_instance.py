@@ -1,4 +1,4 @@
-"""One FMU in this process, FMI 2.0 or 3.0: its life and its states."""
+"""An instance of an FMU, FMI 2.0 or 3.0: from loading to freeing, and its saved states."""
 
 from __future__ import annotations
 
@@ -32,42 +32,41 @@ from contact_system.errors import ContactSystemError
 from .fmu_contents import PortVariables, carried, library_of, read_description, size_of
 
 Names = str | Sequence[str]
-Given = Iterable[tuple[PortVariables, Array]]
+Given = Iterable[tuple[PortVariables, Array]]  # of each input port: its variables, and values
 
 SLACK = 1e-6
-"""By how much of a step the Context's time and the FMU's may differ."""
+"""Greatest difference of the Context's time and the FMU's, as a part of a step."""
 WARNING, FATAL = 1, 4  # statuses, the same in FMI 2 and 3
 
-
 _CALLBACKS: list[Any] = []
+"""Of the FMI 2 instance made last, kept alive: fmpy logs through them for all FMUs of FMI 2."""
 _LOG: ContextVar[collections.deque[tuple[int, str]] | None] = ContextVar("log", default=None)
-"""Where a thread's messages go while an instance is called."""
+"""Where messages of FMUs go while this thread calls an instance."""
 
 
-def _note(*said: Any) -> None:
-    """What an FMU says; FMI 2 has an instance's name before the status.
+def _log_message(*said: Any) -> None:
+    """Log a message of an FMU; arguments end with status, category and message.
 
-    Of FMI 2 fmpy hands all messages of a process to the logger that it was given last, also those
-    of other FMUs after that logger's instance is gone; so it is one function, and stays.
+    With FMI 2, which has five arguments, fmpy hands all messages of the process to the logger that
+    it was given last, also those of other FMUs. So there is one logger, which is never freed.
     """
     status, _, message = said[-3:]
     if (log := _LOG.get()) is not None:
         log.append((status, (message or b"").decode(errors="replace").strip()))
-    elif len(said) == 5 and status >= WARNING:  # of another FMU, as fmpy does by itself
+    elif len(said) == 5 and status >= WARNING:  # of an FMU that is no Instance's; fmpy prints it
         printLogMessage(*said)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Moment:
-    """What the Context holds of an FMU: when it is, its outputs, and how to go back there.
+    """What a Context holds of an FMU: its time, its outputs and, by its id, its saved state.
 
-    It never changes, so clones of a Context share it; the FMU's copy of its state is given back
-    with the last of them.
+    It never changes, so clones of a Context share it. The saved state is freed with the last one.
     """
 
     _instance: Instance
     time: float
-    stepped: bool
+    stepped: bool  # False: just initialized
     ends: bool  # whether the FMU has asked to end the simulation
     values: list[Array]
 
@@ -79,49 +78,33 @@ class Moment:
 
 
 class Instance:
-    """One FMU in this process, from a file or folder, until it is freed."""
+    """An instance of an FMU that is read from a file or folder."""
 
     def __init__(self, fmu: str | os.PathLike[str], name: str | None):
         self._fmu: Any = None
-        self._at: Moment | None = None  # where the FMU is
-        self._running = False
-        self._turn = threading.RLock()  # FMI allows no calls of one FMU at the same time
-        self._states: dict[int, c_void_p] = {}  # the FMU's own copies, by the Moment's id
+        self._at: Moment | None = None  # where the FMU is; None: not known, or not initialized
+        self._turn = threading.RLock()  # FMI allows one call of an instance at a time
+        self._states: dict[int, c_void_p] = {}  # saved by the FMU, by the Moment's id
         self._log: collections.deque[tuple[int, str]] = collections.deque(maxlen=20)
-        self._made_folder: str | None = None
         self._path = path = a_path(fmu, "FmuSystem: fmu")
-        with contextlib.ExitStack() as undo:
-            undo.callback(self.close)
-            self._folder = self._unpacked(path)
+        with contextlib.ExitStack() as made:
+            self._folder = path.resolve() if path.is_dir() else _unpacked(path, made)
             self.description = read_description(path, self._folder)
             self.version = int(self.description.fmiVersion[0])
             if self.description.coSimulation.canBeInstantiatedOnlyOncePerProcess and path.is_dir():
-                self._made_folder = tempfile.mkdtemp(prefix="fmu-")  # with a library of its own
-                shutil.copytree(path, self._made_folder, dirs_exist_ok=True)
-                self._folder = Path(self._made_folder)
+                self._folder = _new_folder(made)  # so that it has a library of its own
+                shutil.copytree(path, self._folder, dirs_exist_ok=True)
             self._library = library_of(path, self._folder, self.description)
-            # whether the FMU can go back to where it was
-            self.keeps_states = self.description.coSimulation.canGetAndSetFMUstate
+            self._keeps_states = self.description.coSimulation.canGetAndSetFMUstate
             self.name = name or self.description.modelName
-            undo.pop_all()
-
-    def _unpacked(self, path: Path) -> Path:
-        if path.is_dir():
-            return path.resolve()
-        if not path.exists():
-            raise ContactSystemError(f"there is no {path}: give an FMU or its folder")
-        self._made_folder = tempfile.mkdtemp(prefix="fmu-")
-        with opened(path, "an FMU") as archive:
-            total = sum(member.file_size for member in archive.infolist())
-            within("FMU_BYTES", total, "bytes when unpacked", ContactSystemError)
-            archive.extractall(self._made_folder)  # inside of it, whatever the names
-        return Path(self._made_folder)
+            made.callback(self._free)
+            self.close = made.pop_all().close  # terminate, free, unload, remove what was unpacked
 
     # --- variables
 
     def select(self, names: Names | None, causality: str) -> PortVariables:
-        """The variables of a port, by names of variables or of structures, which stand for all
-        their variables of the causality, "input" or "output"; None stands for all there are."""
+        """The variables of a port, by names of variables or of structures; a structure stands for
+        all its variables of the causality, "input" or "output", and None for all of the FMU."""
         pool = [v for v in self.description.modelVariables if carried(v)]
         known = {v.name: v for v in pool if causality == "output" or v.causality == causality}
         usual = [v for v in pool if v.causality == causality]
@@ -141,23 +124,25 @@ class Instance:
         raise ContactSystemError(f"{self.name} has no {what}variable {name!r}{hint}")
 
     def prepare(self, start_values: Mapping[str, Any], outputs: list[PortVariables]) -> None:
-        """Say what initialization sets, and what is read after it and each step."""
+        """Set what :meth:`begin` sets at the start, and what is read then and after each step."""
         known = {v.name: v for v in self.description.modelVariables}
         for name, value in start_values.items():
             if name not in known:
                 self._refuse_name(name, known)
             self._check_start(known[name], value)
-        arrays = {k: v for k, v in start_values.items() if isinstance(v, (list, np.ndarray))}
-        rows = {k: np.array(v, object).ravel() for k, v in arrays.items()}  # fmpy wants no matrix
-        self._start_values, self._outputs = {**start_values, **rows}, outputs
+        self._outputs, self._start_values = outputs, dict(start_values)
+        for name, value in start_values.items():
+            if isinstance(value, (list, np.ndarray)):  # fmpy takes a matrix only as one row
+                self._start_values[name] = np.array(value, object).ravel()
 
     def _check_start(self, variable: Any, value: Any) -> None:
-        """Refuse what fmpy would cut, or refuse without a name; it checks text and units."""
+        """Refuse a value that fmpy would truncate, or refuse without naming the variable. It checks
+        texts, and tuples of a value and its unit, itself."""
         if isinstance(value, (str, tuple)) or not carried(variable):
             return
         given, size = np.ravel(value), size_of(variable)
         if given.dtype == object and all(isinstance(x, int) for x in given):
-            given = given.astype(float)
+            given = given.astype(float)  # integers beyond 64 bits
         problem: str | None = f"{variable.name} = {value!r}: give {size} of type {variable.type}"
         if variable.causality == "structuralParameter":
             problem = f"{variable.name} is a structural parameter; export the FMU with its value"
@@ -169,17 +154,17 @@ class Instance:
     # --- life
 
     def begin(self, time: float, given: Given = ()) -> Moment:
-        """Initialize at a time, with the inputs then."""
+        """Initialize the FMU at a time, with the inputs at that time."""
         with self._turn, self._doing("initialization", time):
             self._renew(time)
             fmu = self._fmu
             if self.version == 2:
                 fmu.setupExperiment(startTime=time)
-            given_first = dict(self._start_values)
-            left = apply_start_values(fmu, self.description, given_first, settable_in_instantiated)
+            left, description = self._start_values, self.description
+            left = apply_start_values(fmu, description, left, settable_in_instantiated)
             fmu.enterInitializationMode(**{} if self.version == 2 else {"startTime": time})
-            later = settable_in_initialization_mode
-            if left := apply_start_values(fmu, self.description, dict(left), later):
+            left = apply_start_values(fmu, description, left, settable_in_initialization_mode)
+            if left:
                 raise ContactSystemError(
                     f"{self.name}: {', '.join(left)} cannot be set at the start; only inputs, "
                     "parameters and variables with initial='exact' or 'approx' can"
@@ -187,11 +172,10 @@ class Instance:
             for block, values in given:
                 block.write(fmu, values)
             fmu.exitInitializationMode()
-            self._running = True
             return self._here(time, stepped=False)
 
     def step(self, moment: Moment, given: Given, step: float) -> Moment:
-        """From a moment to the next, with the inputs during it."""
+        """One step from a moment on, with inputs that are constant during it."""
         time, ends = moment.time, False
         with self._turn, self._doing(f"a step of {step:.6g} s", time):
             self._go_to(moment)
@@ -199,46 +183,44 @@ class Instance:
                 block.write(self._fmu, values)
             self._at = None  # until the step has succeeded
             try:
-                done = self._fmu.doStep(time, step, not self.keeps_states)
+                done = self._fmu.doStep(time, step, not self._keeps_states)
             except FMICallException as error:
-                ends = self._asks_to_end(error, time)
-                if not ends:
+                if not (ends := self._asks_to_end(error, time)):
                     raise
             else:
                 if self.version == 3:
                     _, ends, early, last = done
                     if early and not ends and last < time + (1 - SLACK) * step:
                         raise FMICallException("fmi3DoStep, early return,", 2)
-            # As Drake counts its samples: without a sum of rounding errors.
+            # A multiple of the step, as Drake's own samples: a sum would add up rounding errors.
             return self._here(round(time / step + 1) * step, stepped=True, ends=ends)
 
     def _asks_to_end(self, error: FMICallException, time: float) -> bool:
-        """Whether an FMU of FMI 2 has discarded what is left of a step from `time` on to end the
-        simulation; one that cannot even begin the step has a reason to be told."""
-        if self.version != 2 or error.status != fmi2Discard:
-            return False
+        """Whether an FMU of FMI 2 has discarded the rest of a step that began at `time` in order to
+        end the simulation. If it has not advanced at all, its message shall be raised instead."""
         ends = False
-        with contextlib.suppress(FMICallException):
-            ends = self._fmu.getBooleanStatus(fmi2Terminated)
-            return ends and self._fmu.getRealStatus(fmi2LastSuccessfulTime) > time
+        if self.version == 2 and error.status == fmi2Discard:
+            with contextlib.suppress(FMICallException):
+                ends = self._fmu.getBooleanStatus(fmi2Terminated)
+                ends = ends and self._fmu.getRealStatus(fmi2LastSuccessfulTime) > time
         return ends
 
     def _here(self, time: float, stepped: bool, ends: bool = False) -> Moment:
-        """The moment at which the FMU is."""
+        """A Moment of the FMU's present state."""
         values = [block.read(self._fmu) for block in self._outputs]
         self._at = moment = Moment(self, time, stepped, ends, values)
-        if self.keeps_states:
+        if self._keeps_states:
             self._states[id(moment)] = self._fmu.getFMUState()
         return moment
 
     def _go_to(self, moment: Moment) -> None:
-        """Bring the FMU back to a moment, if it is not there."""
+        """Bring the FMU to the state of a moment, unless it is there."""
         if self._at is moment:
             return
         state = self._states.get(id(moment))
         if state is None:
             why = "it has been reloaded since"
-            if not self.keeps_states:
+            if not self._keeps_states:
                 now = "has failed" if self._at is None else f"is at t = {self._at.time:.6g} s"
                 why = f"it {now}, and has no way back (canGetAndSetFMUstate is not true)"
             raise ContactSystemError(
@@ -248,10 +230,10 @@ class Instance:
             )
         with self._doing("return to an earlier state", moment.time):
             self._fmu.setFMUState(state)
-        self._at, self._running = moment, True
+        self._at = moment
 
     def forget(self, moment: int) -> None:
-        """Give back the FMU's copy of its state, by the Moment's id."""
+        """Free the state that the FMU saved for the Moment with this id."""
         with self._turn:
             state = self._states.pop(moment, None)
             if state is not None:
@@ -259,24 +241,22 @@ class Instance:
                     self._fmu.freeFMUState(state)
 
     def _renew(self, time: float) -> None:
-        """An instance that nothing was done to."""
-        self._at, self._running = None, False
+        """Reset the FMU, or instantiate it if it is new or cannot be reset."""
+        self._at = None
         if self._fmu is not None:
             try:
                 self._fmu.reset()
                 return
-            except FMICallException:  # many tools leave it out
+            except FMICallException:  # FMUs of many tools have no reset
                 self._free()
-        with (
-            self._doing(f"loading {self._path}", time),
-            contextlib.chdir(os.getcwd()),
-        ):  # fmpy may leave it
+        # fmpy changes the working folder, and stays there if loading fails
+        with self._doing(f"loading {self._path}", time), contextlib.chdir(os.getcwd()):
             fmu = fmpy.instantiate_fmu(
                 str(self._folder),
                 self.description,
                 "CoSimulation",
-                debug_logging=True,  # and not by category: some tools give errors none, or another
-                logger=_note,
+                debug_logging=True,  # all categories: some tools log errors under another
+                logger=_log_message,
                 library_path=str(self._library),
             )
         self._fmu = fmu
@@ -285,15 +265,15 @@ class Instance:
 
     @contextlib.contextmanager
     def _doing(self, what: str, time: float) -> Iterator[None]:
-        """Errors of FMI calls inside, in words."""
+        """Raise errors of FMI calls inside as ContactSystemErrors, with what the FMU logged."""
         self._log.clear()
         outside = _LOG.set(self._log)
         try:
             yield
         except ContactSystemError:
             raise
-        except Exception as error:  # fmpy raises bare ones when it loads
-            self._at, self._running = None, False
+        except Exception as error:  # fmpy raises errors of this class itself when it loads
+            self._at = None
             if getattr(error, "status", None) == FATAL:  # FMI allows no further call
                 self._fmu, self._states = None, {}
             said = [text for status, text in self._log if status >= WARNING]
@@ -308,16 +288,27 @@ class Instance:
     def _free(self) -> None:
         for moment in list(self._states):
             self.forget(moment)
-        fmu, self._fmu, self._at = self._fmu, None, None
+        fmu, at = self._fmu, self._at
+        self._fmu = self._at = None
         if fmu is not None:
-            if self._running:
+            if at is not None:  # FMI allows it only after initialization
                 with contextlib.suppress(FMICallException):
                     fmu.terminate()
             fmu.freeInstance()
-        self._running = False
 
-    def close(self) -> None:
-        """Terminate, free, unload, remove what was unpacked."""
-        self._free()
-        if self._made_folder is not None:
-            shutil.rmtree(self._made_folder, ignore_errors=True)
+
+def _unpacked(path: Path, made: contextlib.ExitStack) -> Path:
+    if not path.exists():
+        raise ContactSystemError(f"there is no {path}: give an FMU or its folder")
+    folder = _new_folder(made)
+    with opened(path, "an FMU") as archive:
+        total = sum(member.file_size for member in archive.infolist())
+        within("FMU_BYTES", total, "bytes when unpacked", ContactSystemError)
+        archive.extractall(folder)  # never outside of it, whatever the names of members
+    return folder
+
+
+def _new_folder(made: contextlib.ExitStack) -> Path:
+    """A folder for an FMU's files, which is removed when the stack is closed."""
+    folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
+    return Path(made.enter_context(folder))

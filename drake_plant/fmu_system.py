@@ -25,7 +25,7 @@ from .lifetimes import NO_DICTIONARY, weakly
 
 
 class FmuSystem(LeafSystem):
-    """A co-simulation FMU, FMI 2.0 or 3.0, stepped at a fixed period.
+    """A co-simulation FMU, FMI 2.0 or 3.0, stepped with a fixed period.
 
     .. pydrake_system::
 
@@ -40,52 +40,52 @@ class FmuSystem(LeafSystem):
     enumerations are carried as numbers; strings, binaries and clocks are left out. Values are in
     the units of the description.
 
-    As with Drake's own discrete systems, an update at t = k `step` samples the inputs, and what the
-    FMU says of t + `step` is on the outputs until then: whoever looks at t = k `step` sees what the
-    FMU says of that time. The outputs change in discrete updates, so that systems updated at the
-    same time, in whichever way, see the values before it. The FMU samples its inputs itself: a
-    ZeroOrderHold before them would delay by a `step`. Inputs that are not connected keep their
-    start values.
+    As with Drake's own discrete systems, the update at t = k `step` samples the inputs, and steps
+    the FMU to t + `step`, whose values the outputs then have: read at t = k `step`, before the next
+    update, they are those of that time. They change in discrete updates, so that other systems
+    that are updated at the same time, in whichever way, see the old values. The FMU samples its
+    inputs itself: a ZeroOrderHold before them would delay them by a `step`. Inputs that are not
+    connected keep their start values.
 
-    Initialization gives the FMU the Context's time, which has to be 0 or a multiple of `step` after
-    that, and the inputs, of which those from another FMU are as before its own initialization:
-    where that matters, give both start values. A default Context is at t = 0 s.
+    Initialization gives the FMU the inputs and the Context's time, which has to be 0 or a positive
+    multiple of `step`. Inputs from another FMU then have the values before its own initialization:
+    where that matters, give both FMUs start values. A default Context is at t = 0 s.
 
-    The FMU's state is an abstract state, the outputs are discrete ones, so that Contexts can be
-    cloned, put aside and gone back to. This needs an FMU with canGetAndSetFMUstate. Any other can
-    step one Context at a time and only forward; a second one is refused. Threads that share the
-    system take turns.
+    The FMU's state is an abstract state and the outputs are discrete states, so that a Context can
+    be cloned and simulated again from where it is. This needs an FMU with canGetAndSetFMUstate;
+    another FMU steps one Context only, and only forward, and a second Context is refused. Threads
+    that share the system take turns.
 
     When the FMU asks to end the simulation within a step, the update returns
-    EventStatus.ReachedTermination and Simulator.AdvanceTo ends there. The FMU is freed, and what
-    was unpacked of it removed, with the system.
+    EventStatus.ReachedTermination and Simulator.AdvanceTo ends there. When the system is freed, so
+    is the FMU, and the folder that it was unpacked to is removed.
 
     Parameters
     ----------
     fmu : path
-        An .fmu file, or a folder that one was unpacked to.
+        An .fmu file, or a folder that one was unpacked in.
     step : float
         Communication step, s.
     inputs, outputs : str, sequence of str, or mapping of port names to those, optional
-        Variables of `u` and `y`, or of ports of other names. A name is that of a variable, or of a
-        structure, which stands for all inputs or outputs in it: ``"contact[1].slip"`` for
-        ``contact[1].slip.x`` and ``contact[1].slip.y``. An output may be any variable.
+        The variables of `u` and `y`, or of ports with other names. The name of a structure stands
+        for all inputs or outputs in it: ``"contact[1].slip"`` for ``contact[1].slip.x`` and
+        ``contact[1].slip.y``. Any variable may be an output.
     start_values : mapping, optional
-        Of parameters, but structural ones, and whatever else may be set before initialization.
+        Values of parameters, except structural ones, and of others that initialization may set.
     instance_name : str, optional
-        By default the model's; messages begin with it.
+        By default the model's name. Error messages begin with it.
 
     Attributes
     ----------
     input_names, output_names : dict
-        Port name -> the variable of each element, such as ``("x[1]", "x[2]", "on")``.
+        Port name -> the names of its elements, such as ``("x[1]", "x[2]", "on")``.
 
     Raises
     ------
     ContactSystemError
-        An FMU without co-simulation or without a library for this platform, an unknown variable, a
-        value that cannot be set. In a simulation: an input that is not a number, a call that the
-        FMU refuses, a Context that the FMU cannot return to.
+        An FMU has no co-simulation or no library for this platform, a variable is unknown, a value
+        cannot be set. In a simulation: an input is not a number, a call of the FMU fails, the FMU
+        cannot return to a Context's state.
     ImportError
         fmpy is not installed.
     """
@@ -118,8 +118,8 @@ class FmuSystem(LeafSystem):
             self.DeclareStateOutputPort(port, self.DeclareDiscreteState(values))
         self.DeclareInitializationUnrestrictedUpdateEvent(weakly(self._Begin))
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._step, 0.0, weakly(self._Step))
-        # The outputs follow in a discrete update, because those come after unrestricted ones: a
-        # discrete system downstream would see them a step ahead.
+        # The outputs change in a discrete update only. Drake makes those after unrestricted ones,
+        # and in them another system must not yet see the outputs a step ahead.
         self.DeclarePeriodicDiscreteUpdateEvent(self._step, 0.0, weakly(self._Hold))
 
     def _Moment(self, context: Context) -> Moment:
@@ -139,7 +139,7 @@ class FmuSystem(LeafSystem):
                 yield block, values
 
     def _Begin(self, context: Context, state: State) -> None:
-        """Initialize, but for a Context that comes out of a simulation: that one goes on."""
+        """Initialize the FMU, unless the Context comes from a simulation, which then goes on."""
         time, moment, step = context.get_time(), self._Moment(context), self._step
         if moment.stepped:
             if not -SLACK <= (moment.time - time) / step <= 1 + SLACK:
@@ -160,13 +160,13 @@ class FmuSystem(LeafSystem):
         time, moment = context.get_time(), self._Moment(context)
         if not moment.ends:
             ahead = (moment.time - time) / self._step
-            if abs(ahead - 1) < SLACK:  # a Simulator before this one did this update and stopped
+            if abs(ahead - 1) < SLACK:  # an earlier Simulator did this update, then stopped
                 return EventStatus.DidNothing()
             if abs(ahead) > SLACK:
                 self._RefuseTime(time, moment)
             moment = self._instance.step(moment, list(self._Given(context)), self._step)
             state.get_mutable_abstract_state().get_mutable_value(self._moment).set_value(moment)
-        if moment.ends:  # and is not stepped again, whoever goes on
+        if moment.ends:  # the FMU is not stepped again, even if a simulation goes on
             return EventStatus.ReachedTermination(self, f"{self._instance.name} asks to end here")
         return EventStatus.Succeeded()
 
@@ -185,7 +185,7 @@ class FmuSystem(LeafSystem):
 def _blocks(
     instance: Instance, causality: str, chosen: Names | Mapping[str, Names] | None, usual: str
 ) -> dict[str, PortVariables]:
-    """Port name -> its variables; a port without variables is left out."""
+    """Port name -> its variables, for the ports that have any."""
     ports = chosen if isinstance(chosen, Mapping) else {usual: chosen}
     found = {str(port): instance.select(names, causality) for port, names in ports.items()}
     return {port: block for port, block in found.items() if block.names}
