@@ -1,4 +1,4 @@
-r"""The control law of a fingertip, free or on joints: the wrench that makes it move as wanted.
+r"""The control law of a fingertip, free or on joints: a wrench that makes it move as wanted.
 
 It is the sum, about the tip's origin, of what the wanted motion needs for mass and inertia, the
 contact force at the contact point, a spring and dampers that track position and spin, and, as in
@@ -38,7 +38,7 @@ and steps h. They are stable where 0 < d and s + 2 d < 4; but the object moves t
 its fingers turns with them, and a spring of 0.4 shakes both."""
 
 SLIP_SHARE = 0.8
-"""The part of slip that feedback may remove in a step: more, with friction, would reverse slip."""
+"""The part of slip that feedback may remove in a step: with friction, more would reverse slip."""
 
 TIP = {"X_WF": 12, "V_WF": 6, "contact_force": 3}
 """State of a tip: its pose, row by row, and velocity, the angular part first; and the force that it
@@ -64,16 +64,8 @@ def driving_law() -> Table:
     x.R_OF, x.p_OF = ca.reshape(plan["pose"][:9], 3, 3), plan["pose"][9:]
     x.w_OF, x.v_OF = ca.vertsplit(plan["twist"], 3)
     x.alpha_OF, x.a_OF = ca.vertsplit(plan["acceleration"], 3)
-    _want(x, plan["normal"], plan["normal_rate"], c.h)
-    x.arm, x.slip = x.R_WT @ plan["contact_point"][:3], x.R_WO @ x.sliding
-    x.contact_force -= x.normal_force * x.normal
-    wrench = tip_wrench(x, c) + ca.vertcat(0, 0, 0, x.push)
-    return Table(ca.Function("driving", [point, constant], [ca.densify(wrench)]))
-
-
-def _want(x: SimpleNamespace, normal: ca.SX, normal_rate: ca.SX, h: ca.SX) -> None:
-    """Add `WANTED`, the plan carried by the object, in the world; velocities of half a step ago."""
-    cross = ca.cross
+    # `WANTED` is the plan, carried along by the object; velocities are those of half a step ago.
+    cross, h = ca.cross, c.h
     off, v, spin = x.R_WO @ x.p_OF, x.R_WO @ x.v_OF, x.R_WO @ x.w_OF
     swept = cross(x.w_WO, off)
     a = cross(x.w_WO, swept + 2 * v) + x.R_WO @ x.a_OF  # relative to the object
@@ -81,8 +73,13 @@ def _want(x: SimpleNamespace, normal: ca.SX, normal_rate: ca.SX, h: ca.SX) -> No
     x.p_WT, x.R_WT = x.p_WO + off, x.R_WO @ x.R_OF
     x.v_WT, x.w_WT = x.v_WO + swept + v - 0.5 * h * a, x.w_WO + spin - 0.5 * h * alpha
     x.a_WT, x.alpha_WT = x.a_WO + cross(x.alpha_WO, off) + a, x.alpha_WO + alpha
-    x.normal = x.R_WO @ normal
-    x.turning = x.R_WO @ cross(normal, normal_rate) + x.w_WO - ca.dot(x.w_WO, x.normal) * x.normal
+    x.normal = x.R_WO @ plan["normal"]
+    x.turning = x.R_WO @ cross(plan["normal"], plan["normal_rate"]) + x.w_WO
+    x.turning -= ca.dot(x.w_WO, x.normal) * x.normal
+    x.arm, x.slip = x.R_WT @ plan["contact_point"][:3], x.R_WO @ x.sliding
+    x.contact_force -= x.normal_force * x.normal
+    wrench = tip_wrench(x, c) + ca.vertcat(0, 0, 0, x.push)
+    return Table(ca.Function("driving", [point, constant], [ca.densify(wrench)]))
 
 
 @per_structure
@@ -99,11 +96,10 @@ def tip_wrench(x: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
     x : `HELD`; slip is v_rel where it is to be rejected, else 0
     c : `CONSTANT`
     """
-    return ca.vertcat(_torque(x, c), _force(x, c))
-
-
-def _force(x: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
-    """Feed-forward, contact force, slip feedback, and tracking in the frame that turns with n."""
+    inertia, w = x.R_WF @ ca.reshape(c.inertia, 3, 3) @ x.R_WF.T, x.w_WT
+    torque = inertia @ x.alpha_WT + ca.cross(w, inertia @ w) + c.spin_gain * (w - x.w_WF)
+    torque += ca.cross(x.arm, x.contact_force)
+    # The tracking error is resolved in the frame that turns with the normal.
     cross, normal, turning = ca.cross, x.normal, x.turning
     error, error_rate = x.p_WT - x.p_WF, x.v_WT - x.v_WF
     # The velocities are those of half a step ago, so the error is taken then too.
@@ -113,14 +109,8 @@ def _force(x: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
     approach = ca.dot(error_rate, normal)
     force = c.mass * (a - c.gravity) + x.contact_force + c.normal_damping * approach * normal
     force += c.position_gain * (error - (1 - c.hold) * ca.dot(error, normal) * normal)
-    return force + c.velocity_gain * (error_rate - approach * normal)
-
-
-def _torque(x: SimpleNamespace, c: SimpleNamespace) -> ca.SX:
-    """Feed-forward, the contact force at the contact point, damping of the tip's rotation."""
-    inertia, w = x.R_WF @ ca.reshape(c.inertia, 3, 3) @ x.R_WF.T, x.w_WT
-    torque = inertia @ x.alpha_WT + ca.cross(w, inertia @ w) + c.spin_gain * (w - x.w_WF)
-    return torque + ca.cross(x.arm, x.contact_force)
+    force += c.velocity_gain * (error_rate - approach * normal)
+    return ca.vertcat(torque, force)
 
 
 def tip_constants(body: RigidBody, parts: ScenePlant, hold: float) -> list[float]:
@@ -129,7 +119,7 @@ def tip_constants(body: RigidBody, parts: ScenePlant, hold: float) -> list[float
     inertia = body.default_spatial_inertia().CalcRotationalInertia().CopyToFullMatrix3()
     least = float(np.linalg.eigvalsh(inertia)[0])
 
-    # for each of GAINS: the mass or inertia that it moves, its share, the order in time
+    # for each of GAINS: the mass or inertia that it acts on, its share, and its power of h
     terms = (mass, STIFF, 2), *[(mass, SHARE, 1)] * 2, (least, SHARE, 1)
     limits = [share * inert / h**order if h else math.inf for inert, share, order in terms]
     gains = [min(getattr(config, name), most) for name, most in zip(GAINS, limits)]
