@@ -1,4 +1,4 @@
-"""A hand: fingers as serial chains, the project's own one or any model by file."""
+"""A hand, whose fingers are serial chains of joints: the project's own, or a model from a file."""
 
 import math
 import os
@@ -11,7 +11,7 @@ from contact_system.checks import finite_number, finite_numbers, of_kind
 
 
 class Part(NamedTuple):
-    """A joint of the project's own fingers and the link behind it: rad, kg, m."""
+    """A joint of the project's own fingers, rad, and the link that it moves, kg and m."""
 
     axis: str
     lower: float
@@ -35,35 +35,34 @@ FINGERS = {
         Part(TWIST, -1.7, 1.7, 0.01, 0.02),
     ),
 }
-"""By the number of their joints. Six leave a tip's pose free: two more turn it at its wrist."""
+"""Parts of a finger by its number of joints; with six, two in a wrist, its tip takes any pose."""
 
-TORQUE = 0.7  # N m, of every joint
-ROTOR = 2e-4  # kg m^2, of a motor behind its gear
+TORQUE = 0.7  # N m, effort limit of each joint
+ROTOR = 2e-4  # kg m^2, a motor's inertia as its gear makes the joint feel it
 DAMPING = 0.01  # N m s
-PALM = 0.05  # m, from the palm's middle to where a finger begins
+PALM = 0.05  # m, from the palm's middle to the first joint of each finger
 
 
 # Drake's YAML reads annotations as types: without `from __future__ import annotations`
 @dataclass
 class Hand:
-    """Fingers on joints, one for each contact of a scene, whose surface its fingertip has.
+    """Fingers with joints, one for each contact; a fingertip has the contact's finger surface.
 
     Parameters
     ----------
     model : str
         An SDF, URDF or MJCF file, or its package:// URL; "": the project's own hand, whose fingers
-        stand around a palm where the scene's contacts are. Each has a joint that swings it sideways
-        and three that curl it.
+        stand around a palm, in the directions of the scene's contacts. Each has a joint that swings
+        it sideways and three that curl it.
     joints : int
-        Of each of the own hand's fingers: 4, or 6, with two more at its wrist.
+        Number of joints of each finger of the project's own hand: 4, or 6, two of them at a wrist.
     tips : list of str
-        The model's frames that carry fingertips, in the order of the contacts; the origin of a
-        fingertip's surface is put there.
+        Frames of the model to which fingertips are welded, in the order of the contacts. The frame
+        of a fingertip's surface coincides with it.
     base : list of float
-        Where the model's origin is in the world, m, at the scene's start; the object is at the
-        origin.
+        Position of the model's origin in the world, m. The object starts at the world's origin.
     pad : float
-        How far from the middle of its pad, the scene's ``finger_at``, a fingertip may touch, m.
+        Greatest distance of a contact from the middle of its pad, the scene's ``finger_at``, m.
     """
 
     model: str = ""
@@ -85,17 +84,15 @@ class Hand:
             of_kind(str, tip, f"hand: tips[{i}]", "the name of a frame")
         wanted = contacts if self.model else 0
         if len(self.tips) != wanted:
-            raise SceneError(
-                f"hand: tips = {self.tips!r}: give {wanted} names"
-                + (", a frame for each contact" if self.model else " for the project's own hand")
-            )
+            whose = ", a frame for each contact" if self.model else " for the project's own hand"
+            raise SceneError(f"hand: tips = {self.tips!r}: give {wanted} names{whose}")
 
 
 def own_hand(azimuths: Sequence[float], joints: int = 4) -> str:
     """SDF of the project's own hand: a finger at each azimuth about the palm's z axis, rad.
 
-    Frames ``tip_0`` and so on have z along the last link and x, where a pad is by default, to the
-    side to which the finger curls. The fingers of a hand that is at its zeros stand up.
+    The frames ``tip_0``, ``tip_1``, ... have z along the last link, and x, where pads are by
+    default, to the side to which the finger curls. With all joints at zero the fingers stand up.
     """
     parts = [_link("palm", "", 0.2, PALM, 0.01, 0.0)]
     for i, azimuth in enumerate(azimuths):
@@ -113,7 +110,7 @@ def own_hand(azimuths: Sequence[float], joints: int = 4) -> str:
 
 
 def _link(name: str, where: str, mass: float, radius: float, length: float, middle: float) -> str:
-    """A link as a rod, or the palm as a disc, with its middle so high in its frame."""
+    """A link, or the palm, as a cylinder along z whose middle is at this height in its frame."""
     across = mass * (3 * radius**2 + length**2) / 12 + 1e-7
     at = f"<pose>0 0 {middle} 0 0 0</pose>"
     seen = f"<cylinder><radius>{radius}</radius><length>{max(length, 0.016)}</length></cylinder>"

@@ -1,13 +1,13 @@
-r"""Torques that make a hand move an object as planned, pressing as planned.
+r"""Joint torques with which a hand moves an object as planned and presses on it as planned.
 
-Of every finger, with J its tip's Jacobian and F_tip the wrench of `tip_law`,
+For each finger, with J the Jacobian of its tip and F_tip the wrench that `tip_law` gives,
 
 .. math:: \tau = \tau_{id}(q, \dot q, \ddot q) - g(q) + J^T F_{tip},
                  \quad \ddot q = \ddot q_d + \omega^2 (q_d - q) + 2 \omega (\dot q_d - \dot q)
 
-The first two terms carry the links, and hold what the tip's pose leaves free. What the
-object is measured to be off its path moves the tips' places, slowly: they are turned and shifted
-against it, as one body about the object's middle.
+The first two terms move the links and carry their weight, and control the freedom that joints have
+besides the tip's motion. If the object is measured off its path, the wanted positions of all tips
+are slowly turned about its planned origin, and shifted, against that error.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from .scratch import FingerTables, PerThread
 from .tip_law import HELD, holding_law, tip_constants
 
 POSTURE = 30.0  # 1/s, omega
-CORRECTION = 8.0  # 1/s, of what the object is off its path
-AWAY = 1e-3  # rad or m, of joints that are not where a simulation begins
+CORRECTION = 8.0  # 1/s, the rate at which the error of the object's pose is integrated
+AWAY = 1e-3  # rad or m: how far joints must be off their plan for a start to be refused
 
 
 class HandDriver(LeafSystem):
-    """Joint torques from a plan, the plant's state and where the object is.
+    """Joint torques that follow a plan, from the state of the plant and the pose of the object.
 
     .. pydrake_system::
 
@@ -48,23 +48,23 @@ class HandDriver(LeafSystem):
         - generalized_force
         - torque
 
-    `state` and `body_poses` are the plant's, `generalized_force` is its
-    `applied_generalized_force`; `torque` (nq) is that of the joints alone, within their limits, in
-    the order of the plan's. `sliding` (3n) is slip to be rejected, as :class:`ContactMonitor` gives
-    it; `push` (3n + 3) are forces on tips and the object in the world, N.
+    `state` and `body_poses` are the plant's, `generalized_force` goes to its
+    `applied_generalized_force`. `torque` (nq) are the torques of the joints, within their limits,
+    in the plan's order. `sliding` (3n) is slip that shall be rejected, from a
+    :class:`ContactMonitor`; `push` (3n + 3) are forces on the tips and the object in the world, N.
 
-    State: by how much tips' places are corrected, a rotation vector and a shift, (6,).
+    Discrete state (6): the correction of the tips' wanted positions, a rotation vector and a shift.
 
     Parameters
     ----------
     plan : Reorientation
     scene_plant : ScenePlant
-        Made from the plan's scene and configuration, whose gains are those at the tip.
+        Made from the plan's scene and configuration, which has the gains of the tips.
 
     Raises
     ------
     SceneError
-        A simulation that begins after the start with joints that are where they are at the start.
+        A simulation begins at a later time with the joints where the plan starts.
     """
 
     __slots__ = NO_DICTIONARY
@@ -78,14 +78,12 @@ class HandDriver(LeafSystem):
         joints = moving_joints(plant)
         self._at_q = [joint.position_start() for joint in joints]
         self._at_v = [joint.velocity_start() for joint in joints]
-        self._free = scene_plant.object_body.floating_velocities_start_in_v()
+        self._object_v = scene_plant.object_body.floating_velocities_start_in_v()
         self._motion = CubicHermiteSpline(plan.t, plan.q, plan.v)
-        pressing = np.stack([plan.forces, plan.normals], axis=1)
-        self._pressing = make_interp_spline(plan.t, pressing, k=1)
+        self._pressing = make_interp_spline(plan.t, np.stack([plan.forces, plan.normals], 1), k=1)
         self._radii = np.array([[contact.finger.size] for contact in plan.rolling.contacts])
-        tips = scene_plant.finger_bodies
-        constants = [tip_constants(tip, scene_plant, hold=1.0) for tip in tips]
-        # links without tips, whose mass the law carries
+        constants = [tip_constants(x, scene_plant, hold=1.0) for x in scene_plant.finger_bodies]
+        # tips have no mass here: the law's wrench includes what their mass needs
         links = partial(Chains, plan.hand, plan.rolling, 0.0, plan.config.gravity)
         self._chains = PerThread(links, {})
         self._laws = PerThread(partial(FingerTables, holding_law(), HELD, constants), {})
@@ -93,8 +91,7 @@ class HandDriver(LeafSystem):
         (self._poses,) = declare_plant_inputs(self, plant, "body_poses")
         self._sliding = self.DeclareVectorInputPort("sliding", 3 * len(constants))
         self._push = self.DeclareVectorInputPort("push", 3 * len(constants) + 3)
-        needs = (self.all_input_ports_ticket(), self.xd_ticket(), self.time_ticket())
-        law, self._law = array_entry(self._CalcLaw, (2, len(joints)), needs)
+        law, self._law = array_entry(self._CalcLaw, (2, len(joints)), {self.all_sources_ticket()})
         self.DeclareVectorOutputPort("torque", len(joints), weakly(self._CalcTorque), {law})
         self.DeclareVectorOutputPort(
             "generalized_force", self._sizes[1], weakly(self._CalcForce), {law}
@@ -104,7 +101,7 @@ class HandDriver(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._step, 0.0, weakly(self._Correct))
 
     def _Begin(self, context: Context) -> None:
-        """Refuse a time set by itself: SetDefaultContext leaves it alone."""
+        """Refuse a later time with joints at the start; SetDefaultContext leaves the time alone."""
         time, (first, last) = context.get_time(), self.plan.t[[0, -1]]
         q, start = self._state.Eval(context)[self._at_q], self.plan.q[0]
         off = np.abs(self._motion(np.clip(time, first, last)) - start).max()
@@ -116,14 +113,14 @@ class HandDriver(LeafSystem):
             )
 
     def _CalcLaw(self, context: Context) -> Array:
-        """Torques of the joints, and what pushes on the tips are to them, (2, nq)."""
+        """Torques that the joints exert, and those equivalent to pushes on the tips, (2, nq)."""
         chains, laws, x = self._chains.own, self._laws.own, self._state.Eval(context)
         q, v = x[self._at_q], x[self._sizes[0] :][self._at_v]
         time, (first, last) = context.get_time(), self.plan.t[[0, -1]]
         inside = min(max(time, first), last)
         q_d, v_d, a_d = (self._motion(inside, k) for k in range(3))
         forces, normals = self._pressing(inside)
-        if not first < time < last:  # all rests
+        if not first < time < last:  # the object rests
             v_d = a_d = np.zeros(len(q_d))
             forces = self.plan.resting[int(time >= last)]
         turn, shift = np.split(context.get_discrete_state_vector().value(), 2)
@@ -133,15 +130,18 @@ class HandDriver(LeafSystem):
         if self._sliding.HasValue(context):
             given["slip"][:] = self._sliding.Eval(context).reshape(-1, 3) @ R_WO.T
         given["contact_force"][:], given["normal"][:] = forces, normals
-        given["arm"][:] = self._radii * given["normal"]
-        place = self.plan.wanted(time).translation()
-        chains.put(q_d, v_d)
-        for i, motion in enumerate(chains.motions(a_d)):
-            given["p_WT"][i], given["V_WT"][i], given["A_WT"][i] = motion
-        given["p_WT"] += shift + np.cross(turn, given["p_WT"] - place)
-        chains.put(q, v)
-        back = POSTURE * (POSTURE * (q_d - q) + 2 * (v_d - v))
-        torque = chains.carrying(a_d + back)
+        given["arm"][:] = self._radii * normals
+        chains.set_state(q_d, v_d)
+        A_WB = chains.plant.CalcSpatialAccelerationsFromVdot(chains.context, a_d)
+        for i, tip in enumerate(chains.tips):
+            given["p_WT"][i] = chains.pose(i).translation()
+            given["V_WT"][i] = tip.EvalSpatialVelocityInWorld(chains.context).get_coeffs()
+            given["A_WT"][i] = A_WB[tip.index()].get_coeffs()
+        origin = self.plan.wanted(time).translation()
+        given["p_WT"] += shift + np.cross(turn, given["p_WT"] - origin)
+        chains.set_state(q, v)
+        feedback = POSTURE * (POSTURE * (q_d - q) + 2 * (v_d - v))
+        torque = chains.inverse_dynamics(a_d + feedback)
         tips = range(len(chains.tips))
         J = np.array([chains.jacobian(i) for i in tips])
         given["X_WF"][:], given["V_WF"][:] = [chains.pose(i).GetAsMatrix34() for i in tips], J @ v
@@ -159,11 +159,11 @@ class HandDriver(LeafSystem):
         force = np.zeros(self._sizes[1])
         force[self._at_v] = self._law(context).sum(0)
         if self._push.HasValue(context):
-            force[self._free + 3 : self._free + 6] += self._push.Eval(context)[-3:]
+            force[self._object_v + 3 : self._object_v + 6] += self._push.Eval(context)[-3:]
         output.SetFromVector(force)
 
     def _Correct(self, context: Context, state: State) -> None:
         X_WO = self._poses.Eval(context)[self._object]
-        off = way_to(self.plan.wanted(context.get_time()), X_WO)
-        now = state.get_mutable_discrete_state().get_mutable_value()
-        now += CORRECTION * self._step * off
+        error = way_to(self.plan.wanted(context.get_time()), X_WO)
+        correction = state.get_mutable_discrete_state().get_mutable_value()
+        correction += CORRECTION * self._step * error

@@ -1,16 +1,16 @@
-r"""Fingers on joints: where their tips are, how joints move them, and rolling without slip.
+r"""Kinematics and dynamics of a hand, and joint velocities at which its fingertips roll.
 
-A finger that rolls on an object moves its material point at the contact as the object moves its
-own, three equations for its joints:
+Where a finger rolls on an object without slip, the material points of both at the contact have the
+same velocity. These are three equations for the velocities of the finger's joints:
 
 .. math:: J_i(q)\, \dot q_i = v_O + \omega_O \times (p_i - p_O)
 
-With more than three joints some freedom is left, and that goes to the middle of the pad and of the
-joints' ranges. The contact's curves on both bodies follow: a finger of four joints cannot choose
-them (a route of `cs.reach` needs six), nor its spin about the normal. SI units.
+With more than three joints freedom is left: it moves the contact towards the middle of the pad, and
+the joints towards the middles of their ranges. The joints thus determine the contact's curves and
+the spin about the normal. To choose these, as a route of `cs.reach` does, takes six. SI units.
 
-Joints that turn and joints that slide are compared in units of their own: half of the range, but at
-most 1 rad or 1 m.
+To compare joints that turn with joints that slide, each has a unit: half of its range, but at most
+1 rad or 1 m.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from pydrake.multibody.tree import (
     PrismaticJoint,
     RigidBody,
     SpatialInertia,
+    UnitInertia,
 )
 from pydrake.solvers import SnoptSolver
 
@@ -40,21 +41,21 @@ from contact_system.contact_sensor import NORMAL, ON_FINGER, ON_OBJECT, probes_o
 
 from .hand import Hand, own_hand
 
-POSTURE, ON_PAD = 0.3, 1.0  # how strongly free joints go to the middles of ranges and pads
-NEAR = 0.02  # of what grows towards limits, where it ends
-INSIDE = 0.02  # of a joint's range, that is kept free at its limits
-STRAIGHT = 1e-8  # of a finger's greatest squared singular values, what counts as none
-SLIDES = 1e-3  # of the object's speed, from which on a contact is not said to roll
-AT_LIMIT = 1e-9  # of a joint's unit
-REACHED = 1e-9  # m or rad
-STARTS, TRIES = 20, 60  # of solving for positions, and steps towards poses
-UNBOUNDED = 1e3  # rad or m, of joints without limits
+POSTURE, ON_PAD = 0.3, 1.0  # weights of the middles of joints' ranges and of pads
+NEAR = 0.02  # near a limit a joint is drawn to the middle more strongly, by up to 1 / NEAR
+INSIDE = 0.02  # part of a joint's range that a start keeps from each of its limits
+STRAIGHT = 1e-8  # damping of J J^T over its trace, for fingers that are stretched out
+SLIPPING = 1e-3  # slip over the object's speed at which joints are said not to roll a tip
+AT_LIMIT = 1e-9  # distance from a limit, in the joint's unit, at which it counts as reached
+REACHED = 1e-9  # m or rad, greatest error of a tip
+STARTS, TRIES = 20, 60  # greatest numbers of starts of SNOPT, and of Newton's steps to a pose
+UNBOUNDED = 1e3  # rad or m, stands for the limits of joints without limits
 
 
 def add_hand(plant: MultibodyPlant, hand: Hand, scene: Scene, tips: list[RigidBody]) -> GeometrySet:
-    """Load a hand that carries fingertips into a plant, with its root where the hand has it.
+    """Load a hand into a plant, weld its root to the world at `base`, and the tips to its frames.
 
-    Returns what of the model would collide, but must not.
+    Returns the model's collision geometries, with those of a floor: they must not collide.
     """
     parser = Parser(plant)
     parser.SetAutoRenaming(True)  # a contact may have the model's name
@@ -64,28 +65,27 @@ def add_hand(plant: MultibodyPlant, hand: Hand, scene: Scene, tips: list[RigidBo
         try:
             instances = parser.AddModels(**{kind: hand.model})
         except (RuntimeError, ValueError) as error:
-            lacks = kind == "file_name" and not Path(hand.model).is_file()
-            why = f"there is no such file, as seen from '{Path.cwd()}'" if lacks else error
+            missing = kind == "file_name" and not Path(hand.model).is_file()
+            why = f"there is no such file, as seen from '{Path.cwd()}'" if missing else error
             raise SceneError(
                 f"hand: model = {hand.model!r}: {why}; give an SDF, URDF or MJCF file, or its "
                 "package:// URL in a folder of $ROS_PACKAGE_PATH"
             ) from None
     else:
-        at = [scene.object.point(*contact.object_at) for contact in scene.contacts]
-        instances = parser.AddModelsFromString(
-            own_hand([np.arctan2(x[1], x[0]) for x in at], hand.joints), "sdf"
-        )
+        points = [scene.object.point(*contact.object_at) for contact in scene.contacts]
+        azimuths = [np.arctan2(x[1], x[0]) for x in points]
+        instances = parser.AddModelsFromString(own_hand(azimuths, hand.joints), "sdf")
     if len(instances) != 1:
         raise SceneError(f"hand: model = {hand.model!r}: give a file with one model")
     bodies = [plant.get_body(i) for i in plant.GetBodyIndices(instances[0])]
-    carried = {plant.get_joint(j).child_body().index() for j in plant.GetJointIndices()}
-    roots = [body for body in bodies if body.index() not in carried]
+    children = {plant.get_joint(j).child_body().index() for j in plant.GetJointIndices()}
+    roots = [body for body in bodies if body.index() not in children]
     if not roots and hand.base != Hand().base:
         raise SceneError(
             f"hand: base = {hand.base!r}: the model's file fixes it to the world; leave base out"
         )
     for root in roots:
-        X_MR = plant.GetDefaultFloatingBaseBodyPose(root)  # in the model
+        X_MR = plant.GetDefaultFloatingBaseBodyPose(root)  # in the model's frame M
         plant.WeldFrames(plant.world_frame(), root.body_frame(), RigidTransform(hand.base) @ X_MR)
     for i, tip in enumerate(tips):
         name = hand.tips[i] if hand.tips else f"tip_{i}"
@@ -96,32 +96,32 @@ def add_hand(plant: MultibodyPlant, hand: Hand, scene: Scene, tips: list[RigidBo
                 f"hand: tips[{i}] = {name!r}: {hand.model} has no such link or frame{near}"
             )
         plant.WeldFrames(plant.GetFrameByName(name, instances[0]), tip.body_frame())
-    bodies.append(plant.world_body())  # where an MJCF file may have a floor, or the palm
+    bodies.append(plant.world_body())  # to which an MJCF file may attach a floor, or the palm
     return GeometrySet([g for body in bodies for g in plant.GetCollisionGeometriesForBody(body)])
 
 
 def moving_joints(plant: MultibodyPlant) -> list[Joint]:
-    """The joints of a hand, in the order of q: those with one degree of freedom."""
+    """The joints of a hand, which have one degree of freedom, in the order of q."""
     joints = map(plant.get_joint, plant.GetJointIndices())
     moving = (joint for joint in joints if joint.num_velocities() == 1)
     return sorted(moving, key=lambda joint: joint.velocity_start())
 
 
 class Chains:
-    """A hand alone, to be asked for tips, Jacobians and torques; one thread at a time.
+    """A plant of a hand alone, for its kinematics and inverse dynamics; one thread at a time.
 
     Attributes
     ----------
     names : list of str
-        Of the joints, in the order of q.
+        Names of the joints, in the order of q.
     slides : (nq,)
-        Whether a joint is prismatic: m and N then, else rad and N m.
+        Whether a joint is prismatic: then it has m and N, else rad and N m.
     lower, upper, effort : (nq,)
-        Limits.
+        Limits of positions, and of torques.
     middle, unit : (nq,)
-        Of the ranges, and in which joints are compared with each other.
+        Middles of the joints' ranges, and the units in which joints are compared.
     joints : list of list of int
-        Of each finger, the places of its joints in q.
+        The indices in q of each finger's joints.
     """
 
     def __init__(self, hand: Hand, scene: Scene, tip_mass: float, gravity: float):
@@ -130,9 +130,8 @@ class Chains:
         self.plant = plant = MultibodyPlant(0.0)
         self.tips = []
         for i, contact in enumerate(scene.contacts):
-            inertia = SpatialInertia.Zero()
-            if tip_mass:
-                inertia = SpatialInertia.SolidSphereWithMass(tip_mass, contact.finger.size)
+            unit = UnitInertia.SolidSphere(contact.finger.size)
+            inertia = SpatialInertia(tip_mass, np.zeros(3), unit)
             self.tips.append(plant.AddRigidBody(f"tip {i}", inertia))
         add_hand(plant, hand, scene, self.tips)
         plant.mutable_gravity_field().set_gravity_vector([0, 0, -gravity])
@@ -140,7 +139,7 @@ class Chains:
         self.context = plant.CreateDefaultContext()
         self._find_joints()
         self._probes = probes_of(scene)
-        self._pads = [c.finger.normal(*c.finger_at) for c in scene.contacts]
+        self._pads = [c.finger.normal(*c.finger_at) for c in scene.contacts]  # normals, in F
 
     def __reduce__(self) -> tuple:
         return Chains, self._made_from
@@ -156,7 +155,7 @@ class Chains:
         if plant.num_constraints():
             raise SceneError(
                 "hand: joints of the model are coupled, as mimic joints are; give a model whose "
-                "joints move each by itself"
+                "joints move independently of each other"
             )
         self.names = [joint.name() for joint in moving]
         self.slides = np.array([isinstance(joint, PrismaticJoint) for joint in moving])
@@ -168,8 +167,8 @@ class Chains:
         if wrong.any():
             where = self._limits([int(np.argmax(wrong))], self.middle)
             raise SceneError(
-                f"hand: {where}: it cannot move, or has one limit alone; give two that leave it "
-                "room, none, or a fixed joint"
+                f"hand: {where}: it cannot move, or has one limit alone; give it two different "
+                "limits, or none, or make it a fixed joint"
             )
         self.effort = np.full(len(moving), np.inf)
         for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
@@ -188,10 +187,9 @@ class Chains:
                     "its own"
                 )
 
-    # --- asking --------------------------------------------------------------------------------
+    # --- kinematics and dynamics of the present state -------------------------------------------
 
-    def put(self, q: Array, v: Array | None = None) -> None:
-        """Set positions, and velocities, of all joints."""
+    def set_state(self, q: Array, v: Array | None = None) -> None:
         self.plant.SetPositions(self.context, q)
         if v is not None:
             self.plant.SetVelocities(self.context, v)
@@ -201,63 +199,51 @@ class Chains:
         return self.tips[i].EvalPoseInWorld(self.context)
 
     def jacobian(self, i: int, p_F: Any = (0.0, 0.0, 0.0)) -> Array:
-        """Of a point of a tip: angular and linear velocity by all joints, (6, nq), in the world."""
+        """J of a point of a tip, (6, nq): J v is its spatial velocity in the world."""
         world = self.plant.world_frame()
         return self.plant.CalcJacobianSpatialVelocity(
             self.context, JacobianWrtVariable.kV, self.tips[i].body_frame(), p_F, world, world
         )
 
-    def motions(self, a: Array) -> list[tuple[Array, Array, Array]]:
-        """p_WF, V_WF and A_WF of the tips, (3,), (6,), (6,), at accelerations of the joints."""
-        found = self.plant.CalcSpatialAccelerationsFromVdot(self.context, a)
-        return [
-            (
-                tip.EvalPoseInWorld(self.context).translation(),
-                tip.EvalSpatialVelocityInWorld(self.context).get_coeffs(),
-                found[tip.index()].get_coeffs(),
-            )
-            for tip in self.tips
-        ]
-
-    def carrying(self, a: Array) -> Array:
-        """Torques (nq,) that accelerate the joints so, against gravity, springs and damping."""
+    def inverse_dynamics(self, a: Array) -> Array:
+        """Torques (nq,) at which joints have accelerations a, with gravity, springs and damping."""
         forces = MultibodyForces(self.plant)
         self.plant.CalcForceElementsContribution(self.context, forces)
         return self.plant.CalcInverseDynamics(self.context, a, forces)
 
     def touch(self, i: int, X_WO: RigidTransform, twist: Any = 0.0) -> Array:
-        """What a probe finds of a tip and the object (see :class:`Probe`), (37,), not to be kept.
+        """Measure the contact of a tip: `Probe.found`, (37,), which the next call overwrites.
 
         twist : V_OF_O, (6,)
         """
         probe, X_OF = self._probes[i], X_WO.inverse() @ self.pose(i)
         probe.seen[:12] = X_OF.GetAsMatrix34().ravel()
         probe.seen[12:18], probe.seen[18:] = twist, 0.0
-        centre = X_OF.translation()
-        size = self.scene.contacts[i].finger.size
-        return probe.find((1 - size / np.linalg.norm(centre)) * centre)
+        centre, size = X_OF.translation(), self.scene.contacts[i].finger.size
+        near = (1 - size / np.linalg.norm(centre)) * centre  # where Newton begins
+        return probe.find(near)
 
-    def away(self, i: int, q: Array, normal: Array) -> Array:
-        """Where the free joints of a finger should go, (joints,): to the middles of ranges, and of
-        the pad. normal : out of the object, in the world."""
+    def centring(self, i: int, q: Array, normal: Array) -> Array:
+        """Preferred changes of a finger's joints, (joints,): to the middles of their ranges and of
+        its pad. normal : out of the object, in the world."""
         own = self.joints[i]
         half, unit = self._half[own], self.unit[own]
         part = (self.middle - q)[own] / half
-        back = POSTURE * part / (half * np.maximum(1 - part**2, NEAR))  # harder near limits
+        inwards = POSTURE * part / (half * np.maximum(1 - part**2, NEAR))  # stronger near limits
         turn = cross(normal, self.pose(i).rotation() @ self._pads[i])
-        return unit**2 * (back + ON_PAD * self.jacobian(i)[:3, own].T @ turn)
+        return unit**2 * (inwards + ON_PAD * self.jacobian(i)[:3, own].T @ turn)
 
-    # --- where to begin, and how to go on ------------------------------------------------------
+    # --- positions and velocities of joints for motions of the tips ------------------------------
 
     def reach(self, points: Array, normals: Array) -> Array:
-        """Positions (nq,) at which tips touch points from outside, (n, 3) each, in the world.
+        """Positions (nq,) near middles of ranges and pads at which tips touch points on the object.
 
-        Of all such positions those near the middles of ranges and pads.
+        points, normals : (n, 3), in the world; normals point out of the object
         """
         problem = InverseKinematics(self.plant, self.context, with_joint_limits=False)
         q, program, world = problem.q(), problem.get_mutable_prog(), self.plant.world_frame()
-        room = 2 * INSIDE * self._half
-        program.AddBoundingBoxConstraint(self.lower + room, self.upper - room, q)
+        kept = 2 * INSIDE * self._half
+        program.AddBoundingBoxConstraint(self.lower + kept, self.upper - kept, q)
         program.AddQuadraticErrorCost(np.diag(POSTURE / self._half**2), self.middle, q)
         centres = points + np.array([[c.finger.size] for c in self.scene.contacts]) * normals
         for tip, pad, centre, normal in zip(self.tips, self._pads, centres, normals):
@@ -266,67 +252,69 @@ class Chains:
             problem.AddAngleBetweenVectorsCost(world, -normal, frame, pad, ON_PAD)
         program.SetSolverOption(SnoptSolver.id(), "Major feasibility tolerance", REACHED)
         random, tries = np.random.default_rng(0), []
-        for k in range(STARTS):  # SNOPT may end on the way
+        for k in range(STARTS):  # SNOPT fails from some of them
             guess = self.middle + (k > 0) * self.unit * random.uniform(-1, 1, len(q))
             found = SnoptSolver().Solve(program, guess).GetSolution(q)
-            self.put(found)
+            self.set_state(found)
             tips = np.array([self.pose(i).translation() for i in range(len(centres))])
-            left = np.linalg.norm(tips - centres, axis=1)
-            if left.max() < 10 * REACHED:
+            errors = np.linalg.norm(tips - centres, axis=1)
+            if errors.max() < 10 * REACHED:
                 return found
-            tries.append((found, left))
-        found, left = min(tries, key=lambda each: each[1].max())
-        self.put(found)
-        i = int(np.argmax(left))
-        point, tip = (np.round(x, 4).tolist() for x in (points[i], self.pose(i).translation()))
+            tries.append((found, tips, errors))
+        found, tips, errors = min(tries, key=lambda each: each[2].max())
+        i = int(np.argmax(errors))
+        point, tip = (np.round(each[i], 4).tolist() for each in (points, tips))
         raise SceneError(
-            f"{self.scene.contact_name(i)} does not reach {point} m: its tip stays {left[i]:.2g} m "
-            f"away, at {tip} m, with {self._limits(self.joints[i], found)}; put the hand elsewhere,"
-            " or tips in the order of the contacts"
+            f"{self.scene.contact_name(i)} does not reach {point} m: its tip stays {errors[i]:.2g} "
+            f"m away, at {tip} m, with {self._limits(self.joints[i], found)}; put the hand "
+            "elsewhere, or give tips in the order of the contacts"
         )
 
-    def placed(self, t: float, q: Array, poses: list[RigidTransform]) -> Array:
-        """Positions (nq,), near those given, at which tips have poses in the world at a time."""
+    def positions(self, t: float, q: Array, poses: list[RigidTransform]) -> Array:
+        """Positions (nq,) at which tips have poses X_WF at time t, by Newton's method from q."""
         for _ in range(TRIES):
-            self.put(q)
-            off = np.array([way_to(X_WF, self.pose(i)) for i, X_WF in enumerate(poses)])
-            left = np.linalg.norm(off, axis=1)
-            if left.max() < REACHED:
+            self.set_state(q)
+            ways = np.array([way_to(X_WF, self.pose(i)) for i, X_WF in enumerate(poses)])
+            errors = np.linalg.norm(ways, axis=1)
+            if errors.max() < REACHED:
                 return q
-            q = q + np.clip(self.moved(q, off), -0.3, 0.3)
-        i = int(np.argmax(left))
-        why = f"{left[i]:.2g} m or rad are left, with {self._limits(self.joints[i], q)}"
-        raise self.short_of(i, t, why)
+            q = q + np.clip(self.velocities(q, ways), -0.3, 0.3)
+        i = int(np.argmax(errors))
+        why = f"{errors[i]:.2g} m or rad are left, with {self._limits(self.joints[i], q)}"
+        raise self.cannot_follow(i, t, why)
 
-    def moved(self, q: Array, twists: Array) -> Array:
-        """Velocities (nq,) of joints at which tips have V_WF, (n, 6)."""
-        self.put(q)
+    def velocities(self, q: Array, twists: Array) -> Array:
+        """Velocities (nq,) at which tips have spatial velocities V_WF, (n, 6)."""
+        self.set_state(q)
         found = np.zeros_like(q)
         for i, own in enumerate(self.joints):
             found[own] = self._nearest(i, self.jacobian(i), twists[i], np.zeros(len(own)))
         return found
 
-    def _nearest(self, i: int, J: Array, v: Array, free: Array) -> Array:
-        """Of a finger's velocities with J q' = v, or nearly so where it is straight, those nearest
-        to others."""
+    def _nearest(self, i: int, J: Array, v: Array, wanted: Array) -> Array:
+        """Of a finger's joint velocities with J q' = v those nearest to wanted ones, (joints,).
+
+        Damped least squares: also near a singular posture they stay finite, where J q' is nearly v.
+        """
         own = self.joints[i]
         J, unit = J[:, own], self.unit[own] ** 2
         square = (J * unit) @ J.T
         square += STRAIGHT * np.trace(square) * np.eye(len(square))
-        for _ in range(2):  # the second makes up for what is left
-            free = free + unit * (J.T @ np.linalg.solve(square, v - J @ free))
-        return free
+        for _ in range(2):  # the second pass removes the error of the damping
+            wanted = wanted + unit * (J.T @ np.linalg.solve(square, v - J @ wanted))
+        return wanted
 
     def _limits(self, joints: list[int], q: Array) -> str:
-        told = (
+        """Joints with their positions and limits, for messages."""
+        texts = (
             f"joint {self.names[k]} = {q[k]:.3g} of [{self.lower[k]:.3g}, {self.upper[k]:.3g}] "
             f"{'m' if self.slides[k] else 'rad'}"
             for k in joints
         )
-        return ", ".join(told)
+        return ", ".join(texts)
 
     def room(self, q: Array) -> Array:
-        """How far joints are from their nearer limit, as q, which has them in the last axis."""
+        """Distance of each joint from its nearer limit; of the shape of q, (..., nq)."""
         return np.minimum(q - self.lower, self.upper - q)
 
     def refuse_limits(self, t: Array, q: Array) -> None:
@@ -335,20 +323,15 @@ class Chains:
         if over.any():
             k, joint = np.argwhere(over)[0]
             i = next(i for i, own in enumerate(self.joints) if joint in own)
-            raise self.short_of(i, t[k], self._limits([joint], q[k]))
+            raise self.cannot_follow(i, t[k], self._limits([joint], q[k]))
 
-    def short_of(self, i: int, t: float, why: str) -> SceneError:
-        """What to raise where a finger cannot follow."""
-        return SceneError(
-            f"{self.scene.contact_name(i)} does not get as far: at t = {t:.3g} s {why}"
-        )
+    def cannot_follow(self, i: int, t: float, why: str) -> SceneError:
+        name = self.scene.contact_name(i)
+        return SceneError(f"{name} does not get as far: at t = {t:.3g} s {why}")
 
     def rolling(self, q: Array, X_WO: RigidTransform, V_WO: Array) -> Array:
-        """Velocities (nq,) of joints at which every tip rolls on the object without slip.
-
-        V_WO : (6,), angular then linear, of the object's origin
-        """
-        self.put(q)
+        """Velocities (nq,) at which every tip rolls on the object without slip; V_WO (6,)."""
+        self.set_state(q)
         found, w, rotation = np.zeros_like(q), V_WO[:3], X_WO.rotation().matrix()
         pace = np.linalg.norm(w) + np.linalg.norm(V_WO[3:]) / self.scene.object.size
         if not pace:
@@ -357,23 +340,23 @@ class Chains:
             at = self.touch(i, X_WO)
             x_F, arm, normal = at[ON_FINGER], rotation @ at[ON_OBJECT], rotation @ at[NORMAL]
             v, J = V_WO[3:] + cross(w, arm), self.jacobian(i, x_F)[3:]
-            found[own] = self._nearest(i, J, v, pace * self.away(i, q, normal))
-            if np.linalg.norm(J @ found - v) > SLIDES * pace * self.scene.object.size:
+            found[own] = self._nearest(i, J, v, pace * self.centring(i, q, normal))
+            if np.linalg.norm(J @ found - v) > SLIPPING * pace * self.scene.object.size:
                 raise SceneError(
                     f"{self.scene.contact_name(i)} would slip: it cannot move its tip as the "
-                    f"object's surface goes, at {self._limits(own, q)}; fingers that stretch out "
-                    "or lie in a plane move theirs in two directions"
+                    f"object's surface goes, at {self._limits(own, q)}; fingers that are stretched "
+                    "out, or move in a plane, move their tips in two directions only"
                 )
         return found
 
 
 def way_to(goal: RigidTransform, X: RigidTransform) -> Array:
-    """From a pose to another: the rotation vector and the shift that lead there, (6,)."""
+    """The rotation vector and the shift that lead from X to the goal, (6,), in the world."""
     turn = (goal.rotation() @ X.rotation().inverse()).ToAngleAxis()
     return np.append(turn.angle() * turn.axis(), goal.translation() - X.translation())
 
 
 def cross(a: Array, b: Array) -> Array:
-    """a x b of two vectors, a tenth of numpy's time."""
+    """The cross product of two vectors, in a tenth of the time of numpy's."""
     (x, y, z), (u, v, w) = a, b
     return np.array((y * w - z * v, z * u - x * w, x * v - y * u))

@@ -1,4 +1,4 @@
-"""Plan how a hand turns an object: the object's path, joint motions that roll the tips, forces."""
+"""Plan how a hand turns an object: its path, joint motions that roll the tips on it, and forces."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ from .pressing import resting, rolling_scene
 
 STEPS = 16  # least number of integration steps from the start of the motion to its end
 ACCURATE = 1e-7  # error of a step, in units of the joints
-DEEPER = 1e-3  # part by which the mean force may exceed the least before radii are computed anew
-FREE = 6  # joints of a finger that can move its tip to any pose
+DEEPER = 1e-3  # part by which the mean force may exceed the least before the plan is made again
+FREE = 6  # number of joints with which a finger can move its tip to any pose
 LEG_NODES = 33  # least number of times in a plan on legs, of which there are at most four
 BEGIN, END = 0.1, 0.75  # of the duration, when the object begins to move, and stops
 
 
 class ShortestPath:
-    """A path from one pose to another about one axis and along one line, from rest to rest.
+    """A path from the world's origin to a pose, by one axis and one line, at rest at its ends.
 
-    Drake's PiecewisePose, which may be given in its place, has the same methods.
+    It has those methods of Drake's PiecewisePose that planning calls.
     """
 
-    def __init__(self, X_WO: RigidTransform, X_WO_goal: RigidTransform, start: float, stop: float):
-        self._made_from = X_WO, X_WO_goal, start, stop
-        self._way = PiecewisePose.MakeLinear([0.0, 1.0], [X_WO, X_WO_goal])
+    def __init__(self, X_WO_goal: RigidTransform, start: float, stop: float):
+        self._made_from = X_WO_goal, start, stop
+        self._way = PiecewisePose.MakeLinear([0.0, 1.0], [RigidTransform(), X_WO_goal])
         self._twist = self._way.GetVelocity(0.5)
         T = stop - start
-        pace = Polynomial([0, 0, 0, 10 / T**3, -15 / T**4, 6 / T**5])
-        part = PiecewisePolynomial([np.array([[pace]])], [start, stop])  # 0 to 1 along the path
+        quintic = Polynomial([0, 0, 0, 10 / T**3, -15 / T**4, 6 / T**5])
+        part = PiecewisePolynomial([np.array([[quintic]])], [start, stop])  # of the way: 0 to 1
         self._part, self._rate, self._change = (part.derivative(k) for k in range(3))
         self.start_time, self.end_time = part.start_time, part.end_time
 
@@ -73,14 +73,14 @@ class Reorientation:
     Attributes
     ----------
     hand, scene, config
-        As given, but the configuration has the hand, and the mean planned normal force.
+        As given, but the configuration has the hand, and as `normal_force` the planned mean.
     rolling : Scene
-        The scene on the surfaces that bodies roll on, with contacts where the fingers start.
+        The scene with the surfaces on which pressed bodies roll, and contacts where fingers start.
     route : Scene or None
         `rolling` with the legs of :func:`cs.reach` that fingers of six or more joints follow from
         ``t[0]`` on, for :func:`cs.plan`.
     path : PiecewisePose or ShortestPath
-        X_WO.
+        X_WO as a function of time.
     t : (m,)
     object_pose : (m, 4, 4)
         X_WO.
@@ -91,13 +91,13 @@ class Reorientation:
     normals, forces : (m, n, 3)
         Normals into the object and forces on it, in the world.
     resting : (2, n, 3)
-        Forces on the object before and after the path, while it rests.
+        Forces on the object while it rests, before and after the path.
     states : (m, n, 9)
-        As those of :meth:`contact_system.Plan.states`.
+        As :meth:`contact_system.Plan.states` gives them.
     slip, spin : (m, n)
         Speed of slip, m/s, and of rotation about the normal, rad/s.
     cones : (m, n)
-        Part of each friction cone that is used.
+        Part of each friction cone that the forces use.
     torques : (m, nq)
     joints : list of str
     """
@@ -126,12 +126,12 @@ class Reorientation:
     chains: Chains
 
     def wanted(self, time: float) -> RigidTransform:
-        """X_WO as planned at any time: before and after its path the object rests."""
+        """Planned X_WO at any time; before and after its path the object rests."""
         return self.path.GetPose(min(max(time, self.t[0]), self.t[-1]))
 
 
 def goal_of(config: StationConfig) -> RigidTransform:
-    """X_WO to which `turn` and `move` of the configuration lead."""
+    """X_WO after the rotations `turn`, one after another, and the shift `move`."""
     R = Rotation.identity()
     for turn in config.turn:
         R = Rotation.from_rotvec(turn, degrees=True) * R
@@ -153,39 +153,38 @@ def plan_reorientation(
     ----------
     hand : Hand
     scene : Scene
-        Fingers touch the object at its ``object_at`` at the start; ``finger_at`` is the middle of
-        the pad. Its ``[drake]`` table gives masses, friction and gravity.
+        At the start each finger touches the object at the contact's ``object_at``; the middle of
+        its pad is at ``finger_at``. The ``[drake]`` table gives masses, friction and gravity.
     X_WO_goal : RigidTransform, optional
-        None: where the table's `turn` and `move` lead.
+        None: the pose that the table's `turn` and `move` give.
     path : PiecewisePose, optional
-        X_WO, or an object with the same methods; None: the shortest path, from rest to rest. Before
-        and after it the object rests.
+        X_WO; any object with the same methods will do. None: the shortest path, from rest to rest.
+        Before and after its path the object rests.
     config : StationConfig, optional
         None: the scene's table.
 
     Raises
     ------
     SceneError
-        A finger that does not reach, with the joint and its limit; a contact that leaves its pad,
-        or slips as joints cannot follow; a wrench that no forces balance, with what is left of it;
-        a torque beyond its limit; a path that ends after the scene.
+        A finger does not reach its contact or a limit of a joint is in its way; a contact leaves
+        its pad, or the object's end, or would slip; no forces balance the wrench; a torque is
+        beyond its limit; a path is not within the scene's duration.
     """
     of_kind(Hand, hand, "hand", "a Hand")
     if config is None:
         config = StationConfig.from_scene(scene, hand=hand)
     of_kind(StationConfig, config, "config", "a StationConfig")
-    if path is not None and not hasattr(path, "GetAcceleration"):
-        raise SceneError(f"{scene.title}: path = {path!r:.80}: give a PiecewisePose")
-    if path is not None and X_WO_goal is not None:
-        raise SceneError(f"{scene.title}: X_WO_goal: a path ends at its own pose; give one of both")
     config = dataclasses.replace(config, hand=hand)
     with naming(scene.title):
         config.check(scene)
         if path is None:
             goal = goal_of(config) if X_WO_goal is None else X_WO_goal
             of_kind(RigidTransform, goal, "X_WO_goal", "a RigidTransform")
-            begin, end = BEGIN * scene.duration, END * scene.duration
-            path = ShortestPath(RigidTransform(), goal, begin, end)
+            path = ShortestPath(goal, BEGIN * scene.duration, END * scene.duration)
+        elif X_WO_goal is not None:
+            raise SceneError("X_WO_goal: a path ends at its own pose; give one of both")
+        elif not hasattr(path, "GetAcceleration"):
+            raise SceneError(f"path = {path!r:.80}: give a PiecewisePose")
         elif not 0 <= path.start_time() < path.end_time() <= scene.duration:
             raise SceneError(
                 f"path: it lasts from {path.start_time():g} to {path.end_time():g} s, the scene "
@@ -195,67 +194,68 @@ def plan_reorientation(
         plan = _planned(scene, config, path, inertia, config.normal_force)
         mean = float(np.mean(np.einsum("mij,mij->mi", plan.forces, plan.normals)))
         if mean > (1 + DEEPER) * config.normal_force:
-            deeper = dataclasses.replace(config, normal_force=mean)
-            plan = _planned(scene, deeper, path, inertia, config.normal_force)
+            pressed = dataclasses.replace(config, normal_force=mean)
+            plan = _planned(scene, pressed, path, inertia, config.normal_force)
         return plan
 
 
-@np.errstate(under="ignore")  # in solve_ivp the spacing of doubles at t = 0 underflows
+@np.errstate(under="ignore")  # solve_ivp computes the spacing of doubles at 0, which underflows
 def _rolled(chains: Chains, path: Any) -> tuple[Array, Array, Array]:
-    """Times, (m,), and joint positions and velocities that roll the tips along, (m, nq)."""
-    scene, X = chains.scene, path.GetPose(path.start_time())
-    at = np.array([scene.object.point(*c.object_at) for c in scene.contacts])
+    """Times, (m,), joint positions and velocities, (m, nq), with which tips roll along the path."""
+    scene, X_WO = chains.scene, path.GetPose(path.start_time())
+    points = np.array([scene.object.point(*c.object_at) for c in scene.contacts])
     normals = np.array([scene.object.normal(*c.object_at) for c in scene.contacts])
-    R = X.rotation().matrix()
-    begin = chains.reach(at @ R.T + X.translation(), normals @ R.T)
+    R = X_WO.rotation().matrix()
+    q_start = chains.reach(points @ R.T + X_WO.translation(), normals @ R.T)
 
     def rates(time: float, q: Array) -> Array:
         with naming(f"t = {time:.3g} s"):
             return chains.rolling(q, path.GetPose(time), path.GetVelocity(time))
 
     def room(time: float, q: Array) -> float:
-        return float(chains.room(q).min())
+        return float(chains.room(q).min())  # at 0, the limit of a joint, the integration ends
 
     room.terminal = True  # type: ignore[attr-defined]
     span = path.start_time(), path.end_time()
     longest, error = (span[1] - span[0]) / STEPS, ACCURATE * chains.unit
-    found = solve_ivp(rates, span, begin, max_step=longest, events=room, rtol=ACCURATE, atol=error)
-    t, q = found.t, found.y.T
+    made = solve_ivp(rates, span, q_start, max_step=longest, events=room, rtol=ACCURATE, atol=error)
+    t, q = made.t, made.y.T
     chains.refuse_limits(t, q)
     return t, q, np.array([rates(*each) for each in zip(t, q)])
 
 
-def _routed(chains: Chains, path: Any, t: Array, way: Array) -> tuple[Array, Array, Array, Scene]:
+def _routed(chains: Chains, path: Any, t: Array, q: Array) -> tuple[Array, Array, Array, Scene]:
     """Times, joint positions and velocities, and the scene with the legs that fingers follow.
 
-    t, way : times and joint positions of `_rolled`. Where it ends on the object is within the
-        fingers' reach; legs of `cs.reach` lead there on the pads and without spin.
+    t, q : times and joint positions of `_rolled`. Fingers can reach the places on the object where
+        it ends, so legs of `cs.reach` lead there, but on the pads and without spin.
     """
-    rest = np.zeros_like(way[[0, -1]])
-    rows = _contacts(chains, path, t[[0, -1]], way[[0, -1]], rest)
-    _refuse_pads(chains.scene, chains.hand, t[:1], rows[:1, :, ON_FINGER])
-    ends = rows[..., STATES]
+    found = _contacts(chains, path, t[[0, -1]], q[[0, -1]], np.zeros((2, q.shape[1])))
+    _refuse_pads(chains.scene, chains.hand, t[:1], found[:1, :, ON_FINGER])
+    first, last = found[..., STATES]
     goals = [
-        Goal(object_at=row[4:6], finger_within=(*contact.finger_at, chains.hand.pad))
-        for row, contact in zip(ends[1], chains.scene.contacts)
+        Goal(object_at=state[4:6], finger_within=(*contact.finger_at, chains.hand.pad))
+        for state, contact in zip(last, chains.scene.contacts)
     ]
-    scene = _starting(chains.scene, ends[0], finger_velocity=(1.0, 0.0))
+    scene = _starting(chains.scene, first, finger_velocity=(1.0, 0.0))  # legs need a direction
     route = reach(scene.replace(duration=t[-1] - t[0]), goals).scene
     t = np.linspace(t[0], t[-1], max(LEG_NODES, len(t)))
-    found = make_plan(route).evaluate(t - t[0], "pose", "twist")
-    q, v = [way[0]], [rest[0]]
-    for time, poses, twists in zip(t, found["pose"], found["twist"]):
-        X_WO, near = path.GetPose(time), q[-1] + (t[1] - t[0]) * v[-1]
-        q.append(chains.placed(time, near, [X_WO @ RigidTransform(X_OF) for X_OF in poses]))
-        R, V_WO = X_WO.rotation().matrix(), path.GetVelocity(time)
+    curves = make_plan(route).evaluate(t - t[0], "pose", "twist")
+    near, rows = q[0], []
+    for time, poses, twists in zip(t, curves["pose"], curves["twist"]):
+        X_WO, V_WO = path.GetPose(time), path.GetVelocity(time)
+        R = X_WO.rotation().matrix()
         swept = np.cross(V_WO[:3], poses[:, :3, 3] @ R.T)
         V_WF = V_WO + np.hstack([twists[:, :3] @ R.T, twists[:, 3:] @ R.T + swept])
-        v.append(chains.moved(q[-1], V_WF))
-    return t, np.array(q[1:]), np.array(v[1:]), route
+        q = chains.positions(time, near, [X_WO @ RigidTransform(X_OF) for X_OF in poses])
+        v = chains.velocities(q, V_WF)
+        rows.append((q, v))
+        near = q + (t[1] - t[0]) * v
+    return t, *np.array(rows).swapaxes(0, 1), route
 
 
 def _starting(scene: Scene, states: Any, **changes: Any) -> Scene:
-    """The scene with contacts at the places and angles of states."""
+    """The scene with contacts that start at the places and angles of states, (n, 9)."""
     contacts = [
         dataclasses.replace(contact, finger_at=x[:2], object_at=x[4:6], angle=x[8], **changes)
         for contact, x in zip(scene.contacts, states)
@@ -266,7 +266,7 @@ def _starting(scene: Scene, states: Any, **changes: Any) -> Scene:
 def _planned(
     scene: Scene, config: StationConfig, path: Any, inertia: SpatialInertia, least: float
 ) -> Reorientation:
-    """The plan with contacts as deep as the configuration's normal force presses them, and with
+    """The plan with contacts as deep as the configuration's normal force presses them in, and with
     normal forces of at least ``least``, N."""
     assert config.hand is not None
     rolling = rolling_scene(resting(scene), config)
@@ -325,11 +325,11 @@ def _planned(
 
 
 def _contacts(chains: Chains, path: Any, t: Array, q: Array, v: Array) -> Array:
-    """The probe's results for every contact, and its spin, rad/s: (m, n, FOUND + 1)."""
+    """Every contact's `Probe.found` and, in column FOUND, its spin, rad/s: (m, n, FOUND + 1)."""
     rows = np.empty((len(q), len(chains.joints), FOUND + 1))
     for k, time in enumerate(t):
         X_WO, V_WO = path.GetPose(time), SpatialVelocity(path.GetVelocity(time))
-        chains.put(q[k], v[k])
+        chains.set_state(q[k], v[k])
         for i, tip in enumerate(chains.tips):
             swept = V_WO.Shift(chains.pose(i).translation() - X_WO.translation())
             V_OF_W = tip.EvalSpatialVelocityInWorld(chains.context) - swept
@@ -340,7 +340,7 @@ def _contacts(chains: Chains, path: Any, t: Array, q: Array, v: Array) -> Array:
 
 
 def _refuse_pads(scene: Scene, hand: Hand, t: Array, points: Array) -> None:
-    """Raise a SceneError where a contact leaves its pad; points (m, n, 3) on the fingers."""
+    """Raise a SceneError if a contact leaves its pad; points (m, n, 3) on the fingers."""
     for i, contact in enumerate(scene.contacts):
         away = np.linalg.norm(points[:, i] - contact.finger.point(*contact.finger_at), axis=1)
         if away.max() > hand.pad:
@@ -352,8 +352,8 @@ def _refuse_pads(scene: Scene, hand: Hand, t: Array, points: Array) -> None:
 
 
 def _refuse_ends(scene: Scene, t: Array, points: Array) -> None:
-    """Raise a SceneError where a contact leaves a cylinder; points (m, n, 3) on the object."""
-    end = np.abs(points[0, :, 2]).max() + REACH  # of its mesh
+    """Raise a SceneError if a contact leaves a cylinder; points (m, n, 3) on the object."""
+    end = np.abs(points[0, :, 2]).max() + REACH  # z, as of the plant's mesh
     if isinstance(scene.object, Cylinder) and (over := np.abs(points[..., 2]) > end).any():
         k, i = np.argwhere(over)[0]
         raise SceneError(
@@ -364,10 +364,10 @@ def _refuse_ends(scene: Scene, t: Array, points: Array) -> None:
 
 
 def object_inertia(scene: Scene, config: StationConfig) -> SpatialInertia:
-    """Inertia of the homogeneous solid that is a plant's object."""
+    """Inertia of the object, a homogeneous solid, in the plant of the scene."""
     if isinstance(scene.object, (Sphere, Ellipsoid)):
         return solid_inertia("object", scene.object, config.object_mass)
-    # it follows from the object's mesh, which takes half a second to build
+    # computed from the object's mesh, which takes half a second to build
     parts = AddScenePlant(DiagramBuilder(), scene, config)
     return parts.object_body.default_spatial_inertia()
 
@@ -375,11 +375,11 @@ def object_inertia(scene: Scene, config: StationConfig) -> SpatialInertia:
 def _torques(
     chains: Chains, t: Array, q: Array, v: Array, a: Array, points: Array, forces: Array
 ) -> Array:
-    """Torques (m, nq) that move the joints, carry the links, and exert the contact forces."""
+    """Torques (m, nq) that move joints, carry links and exert forces; SceneError beyond a limit."""
     found = np.empty_like(q)
     for k in range(len(q)):
-        chains.put(q[k], v[k])
-        found[k] = chains.carrying(a[k])
+        chains.set_state(q[k], v[k])
+        found[k] = chains.inverse_dynamics(a[k])
         for i, (x, force) in enumerate(zip(points[k], forces[k])):
             found[k] += chains.jacobian(i, x)[3:].T @ force
     over = np.abs(found) > chains.effort
