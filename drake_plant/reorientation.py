@@ -347,7 +347,7 @@ def _refuse_pads(scene: Scene, hand: Hand, t: Array, points: Array) -> None:
             k = int(np.argmax(away > hand.pad))
             raise SceneError(
                 f"{scene.contact_name(i)} rolls off its pad: at t = {t[k]:.3g} s it touches "
-                f"{away[k]:.2g} m from the pad's middle, pad = {hand.pad:g} m"
+                f"{away[k]:.4g} m from the pad's middle, pad = {hand.pad:g} m"
             )
 
 
