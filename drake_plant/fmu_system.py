@@ -149,7 +149,7 @@ class FmuSystem(LeafSystem):
         if not on_step or time < 0:  # Drake has no samples before 0
             raise ContactSystemError(
                 f"{self._instance.name}: t = {time!r} s is not 0 or a positive multiple of the "
-                f"step of {step:g} s, so that no update would come then: set the time to one"
+                f"step of {step:g} s, and updates come only then: set the time to one of these"
             )
         moment = self._instance.begin(time, list(self._Given(context)))
         state.get_mutable_abstract_state().get_mutable_value(self._moment).set_value(moment)

@@ -83,7 +83,7 @@ class HandDriver(LeafSystem):
         self._pressing = make_interp_spline(plan.t, np.stack([plan.forces, plan.normals], 1), k=1)
         self._radii = np.array([[contact.finger.size] for contact in plan.rolling.contacts])
         constants = [tip_constants(x, scene_plant, hold=1.0) for x in scene_plant.finger_bodies]
-        # tips have no mass here: the law's wrench includes what their mass needs
+        # without the mass of tips, which the law's wrench moves and carries
         links = partial(Chains, plan.hand, plan.rolling, 0.0, plan.config.gravity)
         self._chains = PerThread(links, {})
         self._laws = PerThread(partial(FingerTables, holding_law(), HELD, constants), {})
