@@ -49,7 +49,7 @@ def all_of(kind: type | tuple[type, ...], values: Any, what: str, names: str) ->
 
 
 def rolled(angle: float, w: Any) -> Any:
-    """R_psi w with psi = angle, as `theory.equations.reflection`, which plans need not load."""
+    """R_psi w with psi = angle, for two numbers; for symbols see `theory.equations.reflection`."""
     c, s = math.cos(angle), math.sin(angle)
     return c * w[0] - s * w[1], -s * w[0] - c * w[1]
 
