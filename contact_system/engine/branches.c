@@ -1,10 +1,12 @@
 /* On which branch of its chart a path is: coordinates continued along it.
 
    Coordinates of a point in space are principal values. Where a chart has periods the nearest turn
-   continues them; where it covers its surface twice (triaxial ellipsoids), the cover changes where
-   the path crosses the seam cos v = 0, and only there; beside umbilics neighbouring points do not
-   show whether it does. Anchors are places whose branch is known; they lie so close that between
-   two of them coordinates move by less than half a period. */
+   continues them. A chart of a triaxial ellipsoid covers it twice: (u, v) and (-u, pi - v) are one
+   point. y = sin u cos v is equal on both covers, so that a point in space determines it. A path
+   changes its cover where it crosses the seam cos v = 0. There y changes its sign, but also where
+   sin u = 0, which is no seam; beside umbilics, where both are 0, only the crossing itself shows
+   which it was. Anchors are places whose branch is known; they lie so close that between two of
+   them coordinates move by less than half a period. */
 
 enum { U, V, DU, DV, THETA, N_COORDINATES };
 enum { PANEL_ANCHORS = 4, CIRCLE_ANCHORS = 15 }; /* per panel; per revolution, L with its end */

@@ -195,7 +195,8 @@ class Search:
     ) -> Iterator[tuple[Array, ...]]:
         """Candidates in strips between two rays, and in the halves of wide strips.
 
-        A strip is a pair of points, the reach, the direction of one ray, the angle to the other.
+        A strip is a pair of points, the reach, the direction of one ray, the angle to the other:
+        arrays (strips,). Along strips, numbers are (steps, strips), vectors (steps, 3, strips).
         """
         if len(pair) > TOGETHER:  # to limit memory
             for part in (slice(i, i + TOGETHER) for i in range(0, len(pair), TOGETHER)):
@@ -235,7 +236,8 @@ class Search:
             yield from self.candidates(*halves, np.tile(half, 2), depth + 1)
 
     def passing(self, away: Array, wide: Array, flat: Array, reach: Array) -> tuple[Array, Array]:
-        """Where strips pass b while they are narrow or flat, and which strips must be split.
+        """Where strips pass b while they are narrow or flat, (steps, strips), and which strips must
+        be split, (strips,). away: distance of their middle from b; wide: their width.
 
         Where a strip is too wide, its rays do not tell what is between them: split it if b is near.
         """
@@ -249,7 +251,8 @@ class Search:
     def closest(
         self, near: Array, away: Array, across: Array, r: Array, middle: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Closest passages of strips to b: step, strip, fraction of the width, length past step."""
+        """Closest passages of strips to b: step, strip, fraction of the width, length past step,
+        each (passages,). r: from the strips' middle to b."""
         padded = np.pad(away, ((1, 1), (0, 0)), constant_values=math.inf)
         k, strip = np.nonzero(near & (away <= padded[:-2]) & (away <= padded[2:]))
         a, r = across[k, :, strip], r[k, :, strip]
