@@ -72,8 +72,8 @@ class Rejection:
     ----------
     contact : int
     start, peak, end : float
-        Slip at the start, its maximum, sampled at 65 times or more in each window, and slip at the
-        end [m/s].
+        Slip at the start, its maximum (in each window, of 65 samples or more), and slip at the end
+        [m/s].
     peak_time : float
         Time of the maximum [s].
     since : float
@@ -203,9 +203,8 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
     dict
         ``slip_start``, ``slip_peak``, ``slip_end`` : (n_contacts,), m/s; the peak is the greatest
         at 100 equally spaced times and at the ends of disturbances. ``recovery`` : (n_contacts,),
-        s, as `Rejection.time`, but interpolated between those times: from the end of the contact's
-        last disturbance (or the start) until slip stays below 5 % of its value just before that,
-        or of its later peak if it is 0 there; inf if it does not, nan if there is no slip.
+        s, as `Rejection.time`, but interpolated between those times; inf if slip does not stay
+        below 5 %, nan if there is none.
         ``state_end`` : (n_contacts, 9), as :meth:`Plan.states`; for a contact that ends at a pole,
         the state 1e-8 of the horizon earlier.
 

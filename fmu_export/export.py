@@ -39,8 +39,8 @@ def export_fmu(
     fmi_version : "2.0" or "3.0"
     interfaces : sequence of "CoSimulation" and "ModelExchange"
     platforms : sequence of str
-        "native", or one or more of x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin,
-        aarch64-darwin and (experimental) wasm32, which ziglang compiles.
+        "native" or, compiled by ziglang, x86_64-linux, aarch64-linux, x86_64-windows,
+        x86_64-darwin, aarch64-darwin and (experimental) wasm32; one or more.
     arrays : bool
         FMI 3: vectors and matrices instead of scalars with FMI 2's names.
     measured : "nothing" or "states" or "pose"

@@ -121,8 +121,8 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
     arrays : bool
         Whether FMI 3 sees vectors and matrices instead of scalars.
     measured : "nothing" or "states" or "pose"
-        Which measurement has inputs, from which contacts go on when a trigger changes: states, or
-        the finger's pose and twist relative to the object.
+        Which measurement has inputs: states, or the finger's pose and twist relative to the object.
+        Contacts go on from it when a trigger changes to another number than 0.
 
     Raises
     ------
