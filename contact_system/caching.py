@@ -12,8 +12,9 @@ class cached_property(Generic[T]):
     """An attribute computed at its first access and stored in the instance under its name.
 
     If several threads compute it at the same time, all get the value that was stored first.
-    ``super()`` cannot reach it. This is ``functools.cached_property`` without its lock: until
-    Python 3.12 all instances share that lock, so that a thread that waits with it may deadlock.
+    One that overrides another must not ask ``super()`` for it: that value would be stored. This is
+    ``functools.cached_property`` without the lock that all instances share until Python 3.12: a
+    thread that holds it and waits for another lock may deadlock.
     """
 
     def __init__(self, compute: Callable[[Any], T]):

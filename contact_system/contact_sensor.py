@@ -30,7 +30,7 @@ from .theory.geometry import number_symbols, numbers_function, upper_inverse
 from .theory.lowering import Table
 from .theory.symbols import per_structure
 
-CONFORMAL = 1e-12  # det of the relative curvature over (|K_1| + |K_2|)^2, if bodies conform
+CONFORMAL = 1e-12  # bodies conform up to this det of the relative curvature/(|K_1| + |K_2|)^2
 FLAT = 1e-8  # curvature times the greater body's size, below which it may be rounding
 MOST_STEPS = 200
 SETTLED = 1e3  # a last step this many times as long as wanted may still be rounding
@@ -311,7 +311,7 @@ def measured_contact(finger: Surface, obj: Surface) -> list[ca.SX]:
         ca.vertcat(tip.constants, body.constants),
         ca.vertcat(tip.moved(step_1), body.moved(step_2)),
         ca.norm_2(ca.vertcat(step_1, step_2, tip.missed, body.missed)),
-        relative / ca.fmax(size, flat) ** 2,  # 0 also if both are flat to within rounding
+        relative / ca.fmax(size, flat) ** 2,  # tiny also if both are flat to within rounding
         ca.if_else(ca.logic_and(tip.framed(), body.framed()), states, np.nan),
         slip,
         ca.vertcat(tip.x, body.x),

@@ -197,7 +197,7 @@ class SceneSystem:
                 by_name.setdefault(name, []).append(value)
             signs.append(_sign(ca.vertsplit(own_law[1:]), own_t))
         outputs = {name: ca.vertcat(*values) for name, values in by_name.items()}
-        rate = outputs["derivatives"]  # TINY |rate|^2 makes the guard NaN; a minimum would not
+        rate = outputs["derivatives"]  # if it is NaN, so is the guard; a minimum would hide it
         outputs["guard"] = ca.mmin(ca.vertcat(*signs)) - TINY * ca.sumsqr(rate)
         outputs["clearance"] = ca.mmin(outputs["regularity"])
         return outputs

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 
 class Platform(NamedTuple):
-    """Folders in FMI 2 and 3, a library's suffix, and the target's name in ziglang and wheels."""
+    """Folders in FMI 2 and 3, a library's suffix, and the target's names in ziglang and wheels."""
 
     folder_2: str
     folder_3: str

@@ -16,7 +16,7 @@ typedef struct {
   double least;     /* the least sigma */
   double per_metre; /* the least lam/sigma or, if greater, 1/length, 1/m: V moves the contact by at
                        most |V|/per_metre before it has decayed */
-  int64_t grows;    /* the law cancels growth: decay has the factor sigma(0)/sigma */
+  int64_t grows;    /* sigma grows, which the law cancels: decay has the factor sigma(0)/sigma */
   int64_t n_sigma, n_exponent;
   /* polynomials: sigma; L without the term for growth; int sigma, which has n_sigma + 1 terms */
   const double *sigma, *exponent, *length;

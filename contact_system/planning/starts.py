@@ -31,7 +31,7 @@ Starts = Sequence[Start | Moment]
 
 
 def require_place(surface: Surface, u: float, v: float, place: str) -> None:
-    """Refuse coordinates outside the chart's regular range; those off by whole turns are right."""
+    """Refuse coordinates outside the chart's regular range, except those off by whole periods."""
     with naming(place):
         at = surface.canonical(u, v)
     near = surface.align(*at, u, v)
