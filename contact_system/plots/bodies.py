@@ -44,7 +44,7 @@ def draw_body(ax: Any, mesh: Mesh | None, curves: Sequence[Curve]) -> None:
 
 
 def best_view(mesh: Mesh | None, curves: Sequence[Curve]) -> np.ndarray:
-    """The view of the orthographic camera, of some around the body, that curves face most.
+    """The view, of some orthographic cameras around the body, that curves face most.
 
     (3, 3): x @ view is right, up and depth, m; nearer points have a greater depth.
     """
