@@ -140,7 +140,7 @@ def friction_used(forces: ArrayLike, normals: ArrayLike, friction: ArrayLike) ->
 def needed_wrench(
     inertia: SpatialInertia, gravity: ArrayLike, R_WO: Array, V_WO: ArrayLike, A_WO: ArrayLike
 ) -> tuple[Array, Array]:
-    """Force, and torque about the origin, in O, (m, 3) each, that give an object the acceleration.
+    """Force and torque about the origin, in O, (m, 3) each, that give A_WO together with gravity.
 
     inertia : in O, about its origin
     gravity : (3,), in the world

@@ -83,7 +83,7 @@ class FmuSystem(LeafSystem):
     Raises
     ------
     ContactSystemError
-        An FMU has no co-simulation or no library for this platform, a variable is unknown, a value
+        The FMU has no co-simulation or no library for this platform, a variable is unknown, a value
         cannot be set. In a simulation: an input is not a number, a call of the FMU fails, the FMU
         cannot return to a Context's state.
     ImportError

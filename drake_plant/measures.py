@@ -168,7 +168,7 @@ class ObjectReport:
 
 @dataclass(frozen=True)
 class PushReport:
-    """What a push did, until the next one began, to its finger, or, on the object, to the worst.
+    """What a push did to its finger, or one on the object to the worst one, until the next began.
 
     Attributes
     ----------
@@ -378,7 +378,7 @@ def misses(result: SimulationResult) -> Array:
 
 
 def recovery_time(t: Array, slip: Array, since: float, level: float) -> float:
-    """How long after ``since`` slip stays below a level for good, s: 0 if it is never above, inf if
+    """Time from ``since`` until slip is below a level for good, s: 0 if it is never above, inf if
     it is not below at the end, or if there is no row after ``since``."""
     after = t >= since - EARLY  # integrators end a step at the last number before an edge
     t, above = t[after], slip[after] >= level

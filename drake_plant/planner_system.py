@@ -133,7 +133,7 @@ class ContactPlanner(_Convertible, LeafSystem):
     AutoDiffXd and Expression are supported. ``FirstOrderTaylorApproximation`` linearizes a planner;
     ``Linearize`` does so only with ``equilibrium_check_tolerance=inf``, as contacts move. Both,
     and ``DiscreteTimeApproximation``, need a planner whose states are all continuous, without
-    restarts: for another one Drake ends the process.
+    restarts and legs: for another one Drake ends the process.
     ``DirectCollocation`` evaluates systems at one fixed time, so it is right only where sigma is
     constant. In frame coordinates Drake takes hours to evaluate the symbolic acceleration,
     whose tree has 1e10 nodes; derivatives and other outputs take up to seconds.
