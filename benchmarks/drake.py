@@ -1,6 +1,6 @@
 """Drake: what the planner's derivatives cost, and how D1 to D4 go with contact physics.
 
-Costs are those of one evaluation of the derivatives inside a Simulator, over those of a LeafSystem
+Costs are those of one evaluation of the derivatives inside a Simulator, less those of a LeafSystem
 with as many states that does nothing, measured in turns in one process.
 
 The paper's scenes D1 to D3 are simulated over their whole duration, with hydroelastic and with

@@ -164,7 +164,7 @@ PAGE = """# Run time against error
 
 <!-- Written by python -m benchmarks work_precision; do not edit. -->
 
-How many times as fast as the fastest peer ours plans a new scene and computes its contact points,
+How many times as fast as the fastest peer a new scene is planned and its contact points computed,
 at equal achieved error; what is compared, and how: [benchmarks](../benchmarks/README.md).
 
 {table}
