@@ -39,7 +39,7 @@ WORK_SIZE = 1.0
 
 
 def frame_size(surface: Surface) -> int:
-    """Number of states of a body's frame: 6 in space, 3 in a chart; inputs may disturb it."""
+    """Number of states of a body's frame, which inputs may disturb: 6 in space, 3 in a chart."""
     return 6 if in_space(surface, True) else 3
 
 

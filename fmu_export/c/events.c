@@ -13,8 +13,8 @@ enum { TRIGGER, MEASURED }; /* offsets in the group OF_MEASURED */
 /* Finds the states of contact i at the measured pose, by Newton's method from its planned place; or
    takes the states that are measured, with a table of no unknowns. found: states; M_1 and M_2,
    column by column. */
-static const char *sense(component_t *c, long i, const double states[N_STATES],
-                         const double points[6], const double **found) {
+static const char *find_measured(component_t *c, long i, const double states[N_STATES],
+                                 const double points[6], const double **found) {
   const contact_t *k = c->model->contacts + i;
   const sensor_t *limit = data_at(c->model, c->model->head->sensor);
   const table_t *t = c->model->tables + k->sensor;
@@ -82,7 +82,7 @@ static const char *restart_at_measurement(component_t *c, long i, segment_t *s) 
     by_plan = !plan_to(c, i, c->now->acts_at) &&
               !evaluate(c, i, time_on(c, i), BIT(OF_COORDINATES) | (posed ? BIT(OF_POINTS) : 0));
   if (posed && !by_plan) return "its plan has no coordinates there; measure a moment later";
-  const char *wrong = sense(c, i, planned, points, &found);
+  const char *wrong = find_measured(c, i, planned, points, &found);
   if (wrong) return wrong;
   memcpy(x, found, sizeof x);
   for (int side = 0; side < 2 && by_plan; side++) {
