@@ -393,7 +393,7 @@ def _overlaps(plan: Plan) -> Iterable[str]:
         found = np.flatnonzero(least[:, i] < -CONFORMS / contact.finger.size)
         if len(found):
             yield paragraph(
-                f"Note: {plan.scene.contact_name(i)}: from t = {t[found[0]]:.3g} s on the bodies "
+                f"Note: {plan.scene.contact_title(i)}: from t = {t[found[0]]:.3g} s on the bodies "
                 "overlap beside the contact point (the least relative curvature is "
                 f"{least[found, i].min():.3g} 1/m), as real ones cannot. Make the finger smaller, "
                 "or plan contact where the object is less concave."

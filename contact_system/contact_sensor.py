@@ -81,13 +81,15 @@ def measured_states(
     require_scene(scene)
     poses = _given(scene, "pose", pose, (4, 4))
     for i, pose_i in enumerate(poses):
-        rigid_motion(pose_i, f"{scene.title}, contact {i}: pose", NOISE, ContactSystemError)
+        rigid_motion(
+            pose_i, f"{scene.title}, {scene.contact_title(i)}: pose", NOISE, ContactSystemError
+        )
     others = _given(scene, "twist", twist, (6,)), _given(scene, "points", points, (3,))
     states = []
     for i, (probe, pose_i, twist_i, point) in enumerate(zip(probes_of(scene), poses, *others)):
         probe.seen[:18] = *pose_i[:3].ravel(), *twist_i
         probe.find(point)
-        states.append(probe.states(f"{scene.title}, contact {i}"))
+        states.append(probe.states(f"{scene.title}, {scene.contact_title(i)}"))
     return np.array(states)
 
 

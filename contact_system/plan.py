@@ -278,9 +278,9 @@ class Plan:
             ]
             if old.start() != new.start() or begun[0] != begun[1]:
                 raise SceneError(
-                    f"{where}: contact {i} starts or turns in another way than in the plan; give "
-                    "the same contact, of which only legs that begin after t may differ, or "
-                    "continue from an earlier t"
+                    f"{where}: {after.contact_title(i)} starts or turns in another way than in the "
+                    "plan; give the same contact, of which only legs that begin after t may "
+                    "differ, or continue from an earlier t"
                 )
         return Plan(after, self.tolerance, self.method, self.solver, t, self.moments(t))
 
@@ -297,8 +297,8 @@ class Plan:
             for i, contact in enumerate(s.contacts):
                 if contact.follows:
                     raise SceneError(
-                        f"{where}: {s.title}, contact {i}: imposed rolling cannot go on from "
-                        "there; give finger_velocity as numbers"
+                        f"{where}: {s.title}, {s.contact_title(i)}: imposed rolling cannot go on "
+                        "from there; give finger_velocity as numbers"
                     )
         return t
 

@@ -412,12 +412,13 @@ def without_chart(scene: Scene) -> str:
     for i, contact in enumerate(scene.contacts):
         if contact.legs:
             return (
-                f", contact {i}: legs = {len(contact.legs)}: the chart equations have a path's "
-                "direction only in its rates u', v', which are zero at a corner"
+                f", {scene.contact_title(i)}: legs = {len(contact.legs)}: the chart equations have "
+                "a path's direction only in its rates u', v', which are zero at a corner"
             )
         for surface in (contact.finger, scene.object):
             if not surface.has_chart:
-                return f", contact {i}: {surface!r} has no explicit chart for the chart equations"
+                why = "has no explicit chart for the chart equations"
+                return f", {scene.contact_title(i)}: {surface!r} {why}"
     zeros = scene.profile.zeros(scene.duration)
     if zeros:
         return (

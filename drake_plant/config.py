@@ -280,7 +280,7 @@ class StationConfig:
         for i, contact in enumerate(scene.contacts):
             if not isinstance(contact.finger, Sphere) or contact.finger.inside:
                 raise SceneError(
-                    f"{scene.contact_name(i)}: finger = {contact.finger!r}: a fingertip on joints "
+                    f"{scene.contact_title(i)}: finger = {contact.finger!r}: a fingertip on joints "
                     "is a sphere"
                 )
         if self.object != "free" or not self.time_step:

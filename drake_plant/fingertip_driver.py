@@ -191,22 +191,22 @@ def _check(parts: ScenePlant) -> None:
             free = joint.num_velocities() == 6 and parent == world_index()
             if parent == body.index() or (child == body.index() and not free):
                 raise SceneError(
-                    f"{scene.title}, contact {i}: body '{body.name()}' is not free, but has the "
-                    f"joint '{joint.name()}'; forces are for a body that moves alone: take "
-                    "the joint away, and make one body of several that are welded together"
+                    f"{scene.title}, {scene.contact_title(i)}: body '{body.name()}' is not free, "
+                    f"but has the joint '{joint.name()}'; forces are for a body that moves alone: "
+                    "take the joint away, and make one body of several that are welded together"
                 )
         mass, center = body.default_mass(), body.default_com()
         if not np.linalg.norm(center) <= OFF * contact.finger.size:
             raise SceneError(
-                f"{scene.title}, contact {i}: the mass centre of body '{body.name()}' is at "
-                f"{center.tolist()} m in its frame; it has to be at the origin, which is that of "
-                "the finger's surface: give the body such an inertia"
+                f"{scene.title}, {scene.contact_title(i)}: the mass centre of body '{body.name()}' "
+                f"is at {center.tolist()} m in its frame; it has to be at the origin, which is "
+                "that of the finger's surface: give the body such an inertia"
             )
         borne = STIFF * mass / step**2 if step else math.inf
         needed = config.normal_force / (contact.finger.size + scene.object.size)
         if borne < needed:
             raise SceneError(
-                f"{scene.title}, contact {i}: time_step = {step!r}: a finger of "
+                f"{scene.title}, {scene.contact_title(i)}: time_step = {step!r}: a finger of "
                 f"{mass:g} kg can be held with {borne:.3g} N/m, and pressing with "
                 f"{config.normal_force:g} N needs {needed:.3g} N/m; give at most "
                 f"{math.sqrt(STIFF * mass / needed):.2g} s, or a heavier finger"

@@ -183,7 +183,7 @@ class Chains:
                 names = ", ".join(self.names[k] for k in shared)
                 what = f"shares {names} with another" if shared else "is moved by no joint"
                 raise SceneError(
-                    f"{self.scene.contact_name(i)}: its tip {what}; every finger needs joints of "
+                    f"{self.scene.contact_title(i)}: its tip {what}; every finger needs joints of "
                     "its own"
                 )
 
@@ -265,9 +265,9 @@ class Chains:
         i = int(np.argmax(errors))
         point, tip = (np.round(each[i], 4).tolist() for each in (points, tips))
         raise SceneError(
-            f"{self.scene.contact_name(i)} does not reach {point} m: its tip stays {errors[i]:.2g} "
-            f"m away, at {tip} m, with {self._limits(self.joints[i], found)}; put the hand "
-            "elsewhere, or give tips in the order of the contacts"
+            f"{self.scene.contact_title(i)} does not reach {point} m: its tip stays "
+            f"{errors[i]:.2g} m away, at {tip} m, with {self._limits(self.joints[i], found)}; put "
+            "the hand elsewhere, or give tips in the order of the contacts"
         )
 
     def positions(self, t: float, q: Array, poses: list[RigidTransform]) -> Array:
@@ -326,7 +326,7 @@ class Chains:
             raise self.cannot_follow(i, t[k], self._limits([joint], q[k]))
 
     def cannot_follow(self, i: int, t: float, why: str) -> SceneError:
-        name = self.scene.contact_name(i)
+        name = self.scene.contact_title(i)
         return SceneError(f"{name} does not get as far: at t = {t:.3g} s {why}")
 
     def rolling(self, q: Array, X_WO: RigidTransform, V_WO: Array) -> Array:
@@ -343,7 +343,7 @@ class Chains:
             found[own] = self._nearest(i, J, v, pace * self.centring(i, q, normal))
             if np.linalg.norm(J @ found - v) > SLIPPING * pace * self.scene.object.size:
                 raise SceneError(
-                    f"{self.scene.contact_name(i)} would slip: it cannot move its tip as the "
+                    f"{self.scene.contact_title(i)} would slip: it cannot move its tip as the "
                     f"object's surface goes, at {self._limits(own, q)}; fingers that are stretched "
                     "out, or move in a plane, move their tips in two directions only"
                 )

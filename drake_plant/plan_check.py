@@ -53,7 +53,7 @@ def refuse_drift(scene: Scene, plan: Plan, t: float, points: Array, tolerance: f
         return
     i, side = divmod(int(np.argmax(off)), 2)
     raise SceneError(
-        f"{scene.title}, contact {i}: integrated to t = {t:.6g} s its point on the "
+        f"{scene.title}, {scene.contact_title(i)}: integrated to t = {t:.6g} s its point on the "
         f"{('finger', 'object')[side]} is {worst:.2g} m off the exact plan, and "
         f"{limit:.2g} m is allowed: the integrator does not control this planner's error, "
         "or not enough; use error control with a smaller accuracy, such as 1e-8 (not cenic, which "
@@ -75,9 +75,9 @@ def refuse_singularity(system: SceneSystem, t: Array, x: Array, w: Array, held: 
     if system.coordinates == "frame":
         remedy = "move the contact away from that point, or turn the body's axes"
     raise ChartSingularity(
-        f"{scene.title}, contact {i}, {('finger', 'object')[side]}: at t = {time:.6g} s the "
-        f"contact is {values[i, side]:.2g} of the body's size from a singular point of the chart "
-        f"of {surface!r} ({where}): less than {CLEARANCE:g}, or beyond it; {remedy}"
+        f"{scene.title}, {scene.contact_title(i)}, {('finger', 'object')[side]}: at t = {time:.6g} "
+        f"s the contact is {values[i, side]:.2g} of the body's size from a singular point of the "
+        f"chart of {surface!r} ({where}): less than {CLEARANCE:g}, or beyond it; {remedy}"
     )
 
 
@@ -94,7 +94,7 @@ def refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> No
         for name, value in (("state", x[part]), ("disturbance", w[6 * i : 6 * i + 6])):
             if not np.isfinite(value).all():
                 raise SceneError(
-                    f"{scene.title}, contact {i}: the {name} at t = {time:.6g} s is "
+                    f"{scene.title}, {scene.contact_title(i)}: the {name} at t = {time:.6g} s is "
                     f"{value.tolist()}; it must be finite. Check what sets it"
                 )
     for i in range(len(w) // 6):
@@ -106,7 +106,7 @@ def refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> No
     worst = [float(np.abs(rates[part]).max()) for part in system.state_slices]
     i = int(np.argmax(worst))  # of NaNs the first
     raise ChartSingularity(
-        f"{scene.title}, contact {i}: at t = {time:.6g} s (sigma = {sigma:.6g} m/s) "
+        f"{scene.title}, {scene.contact_title(i)}: at t = {time:.6g} s (sigma = {sigma:.6g} m/s) "
         f"derivatives are as large as {worst[i]:.3g}: the contact is at a pole, an acceleration "
         "acts while sigma = 0, or the steps are too long for the integrator. Move the contact, "
         "raise sigma, or take smaller steps"

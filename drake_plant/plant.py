@@ -195,7 +195,7 @@ def AddScenePlant(
         config = dataclasses.replace(config)  # the caller may change what is his
         _check_surfaces(scene, config)
         touches = touches_of(scene if config.hand is None else resting(scene))
-        _check_edges(config, touches)
+        _check_edges(scene, config, touches)
         return _add(builder, scene, config, touches)
 
 
@@ -281,18 +281,20 @@ def _check_surfaces(scene: Scene, config: StationConfig) -> None:
             round_pair = isinstance(finger, Sphere) and isinstance(scene.object, (Sphere, Plane))
             if not round_pair or finger.inside or scene.object.inside:
                 raise SceneError(
-                    f'contact {i}: contact_model = "point" is exact for a sphere on a sphere or on '
-                    f"a plane, not for {finger!r} on {scene.object!r}: elsewhere Drake's normal is "
-                    'wrong, on an ellipsoid by up to 16 degrees; use "hydroelastic"'
+                    f'{scene.contact_title(i)}: contact_model = "point" is exact for a sphere on a '
+                    f"sphere or on a plane, not for {finger!r} on {scene.object!r}: elsewhere "
+                    "Drake's normal is wrong, on an ellipsoid by up to 16 degrees; use "
+                    '"hydroelastic"'
                 )
         elif finger.inside or not (finger.chart.central or isinstance(finger, (Cylinder, Torus))):
             raise SceneError(
-                f"contact {i}: a fingertip is a compliant solid, which {finger!r} does not bound; "
-                "use a sphere, an ellipsoid, a cylinder, a torus or an ImplicitSurface"
+                f"{scene.contact_title(i)}: a fingertip is a compliant solid, which {finger!r} "
+                "does not bound; use a sphere, an ellipsoid, a cylinder, a torus or an "
+                "ImplicitSurface"
             )
 
 
-def _check_edges(config: StationConfig, touches: Sequence[Touch]) -> None:
+def _check_edges(scene: Scene, config: StationConfig, touches: Sequence[Touch]) -> None:
     """Refuse edges so long that bodies which roll on such meshes lose contact."""
     for key in EDGES:
         edge, depth = getattr(config, key), contact_depth(config)
@@ -302,9 +304,9 @@ def _check_edges(config: StationConfig, touches: Sequence[Touch]) -> None:
             half = sum(touch.curvatures) / 2
             if half * edge**2 > WIDEST_GAP * depth:
                 raise SceneError(
-                    f"{key} = {edge!r}: contact {i}: along such an edge bodies are up to "
-                    f"{half * edge**2:.2g} m off each other, pressed {depth:.2g} m deep; give at "
-                    f"most {math.sqrt(WIDEST_GAP * depth / half):.2g} m, or leave it out"
+                    f"{key} = {edge!r}: {scene.contact_title(i)}: along such an edge bodies are up "
+                    f"to {half * edge**2:.2g} m off each other, pressed {depth:.2g} m deep; give "
+                    f"at most {math.sqrt(WIDEST_GAP * depth / half):.2g} m, or leave it out"
                 )
 
 

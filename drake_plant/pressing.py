@@ -54,9 +54,10 @@ def check_depth(scene: Scene, config: StationConfig) -> None:
             thin = body.c if isinstance(body, Ellipsoid) else body.least_radius
             if not depth < thin / 2:
                 raise SceneError(
-                    f"stiffness = {config.stiffness!r}: contact {i} would be {depth:.3g} m deep at "
-                    f"normal_force = {config.normal_force!r}, which is too much for {body!r}; give "
-                    f"a stiffness far above {config.stiffness * depth / (thin / 2):.3g} N/m"
+                    f"stiffness = {config.stiffness!r}: {scene.contact_title(i)} would be "
+                    f"{depth:.3g} m deep at normal_force = {config.normal_force!r}, which is too "
+                    f"much for {body!r}; give a stiffness far above "
+                    f"{config.stiffness * depth / (thin / 2):.3g} N/m"
                 )
 
 
@@ -198,8 +199,8 @@ def touches_of(scene: Scene) -> list[Touch]:
                 what = "touch along a line or a face"
                 remedy = "turn the finger, or take another one"
             raise SceneError(
-                f"contact {i}: finger and object {what} where they are planned to touch (the "
-                f"least relative curvature is {least:.3g} 1/m); {remedy}"
+                f"{scene.contact_title(i)}: finger and object {what} where they are planned to "
+                f"touch (the least relative curvature is {least:.3g} 1/m); {remedy}"
             )
         at, bodies = points[:, i].swapaxes(0, 1), (contact.finger, scene.object)
         normals = contact.finger.normal(*contact.finger.coordinates(at[0]))
@@ -231,7 +232,7 @@ def _check_apart(scene: Scene, times: Array, poses: Array) -> None:
         overlap = (apart < 0).any(axis=1)
         if overlap.any():
             raise SceneError(
-                f"{scene.contact_name(i)} and {scene.contact_name(j)} are planned to overlap at "
+                f"{scene.contact_title(i)} and {scene.contact_title(j)} are planned to overlap at "
                 f"t = {times[np.argmax(overlap)]:.3g} s; move one of them, shorten the scene or "
                 "make them smaller"
             )

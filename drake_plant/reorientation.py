@@ -346,7 +346,7 @@ def _refuse_pads(scene: Scene, hand: Hand, t: Array, points: Array) -> None:
         if away.max() > hand.pad:
             k = int(np.argmax(away > hand.pad))
             raise SceneError(
-                f"{scene.contact_name(i)} rolls off its pad: at t = {t[k]:.3g} s it touches "
+                f"{scene.contact_title(i)} rolls off its pad: at t = {t[k]:.3g} s it touches "
                 f"{away[k]:.4g} m from the pad's middle, pad = {hand.pad:g} m"
             )
 
@@ -357,7 +357,7 @@ def _refuse_ends(scene: Scene, t: Array, points: Array) -> None:
     if isinstance(scene.object, Cylinder) and (over := np.abs(points[..., 2]) > end).any():
         k, i = np.argwhere(over)[0]
         raise SceneError(
-            f"{scene.contact_name(i)} rolls off the object's end: at t = {t[k]:.3g} s it touches "
+            f"{scene.contact_title(i)} rolls off the object's end: at t = {t[k]:.3g} s it touches "
             f"at z = {points[k, i, 2]:.3g} m, and a cylinder ends {REACH:g} m beyond the contacts "
             "at the start; turn it less"
         )

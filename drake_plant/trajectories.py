@@ -106,8 +106,9 @@ def _fitted(
             return breaks, X[::2, :3, :3], cubics
         pieces *= 2
     raise SceneError(
-        f"{plan.scene.title}, contact {contact}: tolerance = {tolerance:g} takes more than {MOST} "
-        f"pieces between t = {span[0]:g} and {span[1]:g} s; give a larger one, or ask a PlanSource"
+        f"{plan.scene.title}, {plan.scene.contact_title(contact)}: tolerance = {tolerance:g} takes "
+        f"more than {MOST} pieces between t = {span[0]:g} and {span[1]:g} s; give a larger one, or "
+        "ask a PlanSource"
     )
 
 

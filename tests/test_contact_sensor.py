@@ -177,7 +177,7 @@ def test_conforming_surfaces_and_a_normal_into_the_body_are_refused(obj, finger,
 @pytest.mark.parametrize(
     ("which", "given", "words"),
     [
-        (0, lambda x: x.swapaxes(1, 2), "'D1', contact 0: pose = .* give X_OF"),
+        (0, lambda x: x.swapaxes(1, 2), "'D1', contact 0 .finger 1.: pose = .* give X_OF"),
         (0, np.zeros((2, 4, 4)), "has shape"),
         *((i, x, "D1.*give numbers, shape") for i, x in enumerate(("pose", 1j, {}))),
         (1, np.full((3, 6), np.nan), "twist has a NaN"),

@@ -174,7 +174,7 @@ def test_fingers_that_are_planned_to_overlap_are_refused_by_name(finger):
     scene = cs.load_scene("D1")
     near = dataclasses.replace(scene.contacts[1], object_at=(0.3886, 3.6), name="its neighbour")
     both = [dataclasses.replace(contact, finger=finger) for contact in (scene.contacts[0], near)]
-    with pytest.raises(cs.SceneError, match="'D1', plant: finger 1 and its neighbour are .* at t"):
+    with pytest.raises(cs.SceneError, match="plant: .*finger 1. and .*its neighbour. are .* at t"):
         simulate(scene.replace(contacts=both), duration=0.1)
 
 

@@ -205,7 +205,7 @@ def test_cenic_which_does_not_control_a_planners_error_is_refused():
         port = builder.AddSystem(ContactPlanner(scene, disturbance_input=True)).get_input_port()
         builder.Connect(builder.AddSystem(ConstantVectorSource([0] * 18)).get_output_port(), port)
         found = simulator(builder.Build(), "cenic", step, accuracy=1e-3)
-        with pytest.raises(cs.SceneError, match=r"contact 0: .* off the exact plan.*\(not cenic"):
+        with pytest.raises(cs.SceneError, match=r"0 .finger 1.: .* off the exact.*\(not cenic"):
             found.AdvanceTo(0.5)
 
 
@@ -542,9 +542,9 @@ def test_direct_collocation_of_a_constant_profile_ends_where_the_plan_does():
 
 
 NOT_NUMBERS = {
-    "disturbance": "scene 'K1', contact 1: the disturbance at t = 0 s",
-    "state": "contact 2: the state at t = 0 s is .*must be finite",
-    "time": "scene 'K1', contact 0: at t = nan s",
+    "disturbance": "scene 'K1', contact 1 .finger 2.: the disturbance at t = 0 s",
+    "state": "contact 2 .finger 3.: the state at t = 0 s is .*must be finite",
+    "time": "scene 'K1', contact 0 .finger 1.: at t = nan s",
 }
 
 

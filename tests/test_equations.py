@@ -125,7 +125,7 @@ def test_method_chart_takes_any_of_scipys_solvers(solver):
     ("scene", "given", "words"),
     [
         (one_contact(profile=(0.0, 0.3)), {}, "sigma, which is zero at t = 0 s"),
-        (cs.load_scene("C2"), {}, "scene 'C2', contact 0: .* cannot impose rolling"),
+        (cs.load_scene("C2"), {}, "scene 'C2', contact 0 .finger.: .* cannot impose rolling"),
         (one_contact("rounded cube"), {}, "scene '.*cube', contact 0: .* no explicit chart"),
         (one_contact(), {"solver": "Euler"}, "use one of RK23"),
         # also with the method that does not use it: it is saved with the plan

@@ -110,7 +110,7 @@ def test_contacts_together_move_as_each_alone():
 
 
 def test_a_contact_is_not_integrated_only_because_another_is_disturbed():
-    others = cs.plan(cs.load_scene("D1")).explain().split("contacts 1, 2:")[1]
+    others = cs.plan(cs.load_scene("D1")).explain().split("contact 2 (finger 3):")[1]
     assert "great circle" in others and "skipped: all integration" in others
     assert "panels" not in others
 
@@ -167,6 +167,6 @@ def test_all_contacts_share_the_limit_of_panels_and_the_one_that_takes_most_is_n
     monkeypatch.setattr(cs.limits, "PANELS", 1e4)
     found = cs.plan(scene)
     monkeypatch.setattr(cs.limits, "PANELS", 400)
-    with pytest.raises(cs.ContactSystemError, match="at most 400, .* for contact 1; .*PANELS high"):
+    with pytest.raises(cs.ContactSystemError, match="most 400, .* for contact 1 .*; .*PANELS high"):
         cs.plan(scene)
     assert np.isfinite(found.points(1.0)).all()

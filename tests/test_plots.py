@@ -93,7 +93,8 @@ def test_curves_are_numbered_as_in_the_legend_and_coinciding_ones_have_one_label
     matplotlib = pytest.importorskip("matplotlib")
     named = [cs.Contact(finger=FINGER, object_at=(1.0, 0.2), name="finger 12")]
     alone, both = (_scene(cs.Sphere(0.1)).replace(contacts=k * named) for k in (1, 2))
-    for number, scene in {"1,2,3": cs.load_scene("K1"), "12": alone, "finger 12 (1)": both}.items():
+    cases = {"1,2,3": cs.load_scene("K1"), "12": alone, "contact 1 (finger 12)": both}
+    for number, scene in cases.items():
         with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text
             plots.plot_curves(cs.plan(scene), tmp_path / "x.svg")
         assert f">{number}<" in (tmp_path / "x.svg").read_text()

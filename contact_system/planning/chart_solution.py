@@ -68,11 +68,7 @@ class ChartMotion:
 
     def lines(self) -> list[str]:
         """How each contact was integrated."""
-        lines = []
-        for i, contact in enumerate(self._contacts):
-            lines.append(f"contact {i}:")
-            lines += [f"  both   {line}" for line in contact.lines]
-        return lines
+        return [line for contact in self._contacts for line in contact.lines]
 
 
 class ChartContact:
@@ -88,7 +84,8 @@ class ChartContact:
         start: Start,
         evaluations: Iterator[int],
     ):
-        contact, self._where = scene.contacts[index], f"{scene.title}, contact {index}"
+        contact, title = scene.contacts[index], scene.contact_title(index)
+        self._where = f"{scene.title}, {title}"
         if contact.follows:
             raise SceneError(
                 f'{self._where}: method "chart" cannot impose rolling; use the default method'
@@ -101,7 +98,7 @@ class ChartContact:
         windows = [t for t in self._system.edges if t > begin]
         self._edges = np.array(sorted({*windows, *knots}))
         self._acting = np.array([self._system.window_values(t) for t in self._edges[:-1]])
-        self.lines: list[str] = []
+        self.lines = [f"{title}:"]
         self._solution = self._integrated(start, tolerance, solver, evaluations)
         self._require_regular()
 
@@ -137,7 +134,7 @@ class ChartContact:
             times += result.sol.ts[1:].tolist()
             steps += result.sol.interpolants
             way = f"chart equations by {solver}, {result.nfev} evaluations"
-            self.lines.append(f"[{a:.6g}, {b:.6g}] s  {way}  (asked for)")
+            self.lines.append(f"  both   [{a:.6g}, {b:.6g}] s  {way}  (asked for)")
         return OdeSolution(times, steps)
 
     def _require_regular(self) -> None:

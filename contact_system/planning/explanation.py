@@ -32,8 +32,7 @@ def lines(scene: Scene, facts: Sequence[Sequence[Fact]]) -> list[str]:
         contacts_by_text.setdefault(tuple(_of_contact(scene, i, of_contact)), []).append(i)
     result = []
     for text, contacts in contacts_by_text.items():
-        names = ", ".join(map(str, contacts))
-        result += [f"contact{'s' * (len(contacts) > 1)} {names}:", *text]
+        result += [f"{', '.join(map(scene.contact_title, contacts))}:", *text]
     return result
 
 
@@ -136,7 +135,8 @@ def _skipped(facts: Sequence[Fact]) -> list[str]:
 
 def failed(scene: Scene, failure: Failure) -> Exception:
     """The error of a failed call of the engine."""
-    name, contact = f"{scene.title}, contact {failure.contact}", scene.contacts[failure.contact]
+    name = f"{scene.title}, {scene.contact_title(failure.contact)}"
+    contact = scene.contacts[failure.contact]
     surface = (contact.finger, scene.object)[failure.side]
     if failure.code in (STUCK, TOO_MANY_PANELS):
         return ContactSystemError(f"{name}: {_ended_early(scene, failure, surface)}")
@@ -183,7 +183,8 @@ def _ended_early(scene: Scene, failure: Failure, surface: Surface) -> str:
     return (
         f"{failure.panels} panels reach {reached} of {failure.end:.9g} only, and the plan has "
         f"tried {failure.tried} of at most {limits.PANELS:.15g}, {failure.most} of them for "
-        f"contact {failure.costliest}; {why}, or set contact_system.limits.PANELS higher"
+        f"{scene.contact_title(failure.costliest)}; {why}, or set contact_system.limits.PANELS "
+        "higher"
     )
 
 

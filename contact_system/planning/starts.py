@@ -51,7 +51,7 @@ def measured_start(
     row (9): u1 v1 u1' v1' u2 v2 u2' v2' psi, with the object's rate offset, ``offset`` (2), in u2'
     and v2'. Refuses NaN, sigma = 0, a pole, and coordinates outside the chart.
     """
-    where = f"{scene.title}, restart at t = {t:g} s, contact {index}"
+    where = f"{scene.title}, restart at t = {t:g} s, {scene.contact_title(index)}"
     sigma = float(speed(scene.way(index), np.array(t)))
     if not np.isfinite(row).all():
         raise SceneError(

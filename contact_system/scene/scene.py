@@ -129,21 +129,22 @@ class Scene:
             object.__setattr__(made, "disturbances", self.disturbances)
         return made
 
-    def contact_name(self, index: int) -> str:
-        """The contact's name for tables and pictures, or "contact" and its index.
-
-        A name that several contacts share is followed by the index.
-        """
-        name = self.contacts[index].name
-        if not name:
-            return f"contact {index}"
-        shared = sum(contact.name == name for contact in self.contacts) > 1
-        return f"{name} ({index})" if shared else name
-
     @property
     def title(self) -> str:
         """The scene as messages call it: "scene 'K4'"."""
         return f"scene '{self.name}'" if self.name else "scene"
+
+    def contact_title(self, index: int) -> str:
+        """The contact as messages call it: "contact 0", with its name "contact 0 (finger 1)"."""
+        name = self.contacts[index].name
+        return f"contact {index}" + f" ({name})" * bool(name)
+
+    def contact_name(self, index: int) -> str:
+        """The contact's name for tables and pictures, where no other contact has the same; else as
+        in messages."""
+        name = self.contacts[index].name
+        alone = name and sum(contact.name == name for contact in self.contacts) == 1
+        return name if alone else self.contact_title(index)
 
     @property
     def surfaces(self) -> list[Surface]:
@@ -335,9 +336,9 @@ def refuse_rest(scene: Scene, contact: int, start: float, stop: float) -> None:
     ]
     if inside:
         raise SceneError(
-            f"{scene.title}, contact {contact}: sigma = 0 at t = {inside[0]:g} s while an "
-            "acceleration acts, which would make the path velocity dq/ds infinite; accelerate "
-            "while sigma > 0, or add a small constant to the profile"
+            f"{scene.title}, {scene.contact_title(contact)}: sigma = 0 at t = {inside[0]:g} s "
+            "while an acceleration acts, which would make the path velocity dq/ds infinite; "
+            "accelerate while sigma > 0, or add a small constant to the profile"
         )
 
 

@@ -61,7 +61,7 @@ class Aim(Steer):
     """
 
     def __init__(self, scene: Scene, index: int, goal: Goal, longest: float | None):
-        self.name = f"{scene.title}, contact {index}"
+        self.name = f"{scene.title}, {scene.contact_title(index)}"
         self.contact = _steerable(scene, index, self.name)
         self.bodies = self.contact.finger, scene.object
         self.psi, self.goal_psi = self.contact.angle, goal.angle or 0.0
