@@ -10,10 +10,11 @@ from __future__ import annotations
 import contextlib
 import copy
 import functools
+import operator
 import os
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -156,11 +157,17 @@ def _scene(item: Item) -> Scene:
     )
 
 
+ITS_OWN = {"contacts", "disturbances", "name", "description", "source"}
+"""Fields in which scenes that are planned as one may differ."""
+COMMON = [f for f in fields(Scene) if f.name not in ITS_OWN]
+HASHED = operator.attrgetter(*(f.name for f in COMMON if f.hash is not False))
+TABLES = operator.attrgetter(*(f.name for f in COMMON if f.hash is False))
+
+
 def _shared(scene: Scene) -> tuple:
     """Key of the scenes that can be planned as one."""
     windows = frozenset((type(d), d.start, d.stop) for d in scene.disturbances)
-    common = scene.object, scene.profile, scene.gain, scene.duration, scene.turning
-    return *common, windows, repr(scene.paper), len(scene.contacts)
+    return *HASHED(scene), repr(TABLES(scene)), windows, len(scene.contacts)
 
 
 def _together(batch: Batch) -> Scene:
