@@ -245,11 +245,13 @@ def scene_to_toml(scene: Scene) -> str:
     Raises a SceneError for a surface that is given by a Python function or is of a user's class.
     """
     with naming(scene.title):
-        table = {key: getattr(scene, key) for key in ("name", "description", "duration")}
-        if scene.profile != STILL:
-            table["profile"] = scene.profile.coefficients
+        keys = [key for key in SCENE_KEYS if key not in {*_PARTS, *_LISTS}]
+        table = {key: getattr(scene, key) for key in ("name", "description", *keys)}
+        table["profile"] = scene.profile.coefficients
+        if scene.profile == STILL:
+            del table["profile"]
         table["gain"] = {"law": scene.gain.law, scene.gain.parameter: scene.gain.value}
-        lines = _lines(table | {"chosen": scene.chosen})
+        lines = _lines(table)
         if scene.turning is not None:
             lines += ["", "[turning]", *_lines(dataclasses.asdict(scene.turning))]
         lines += ["", "[object]", *_lines(_surface_table(scene.object, "object"))]
