@@ -45,7 +45,7 @@ from .errors import SceneError
 from .planning.starts import Moment, measured_start
 from .scene import SLOTS, Disturbance, Scene, Start, Stretch, acting, refuse_rest, require_scene
 from .scene.contact import rotated
-from .surfaces import TINY, Ellipsoid, Surface, UserSurface, run_in_space
+from .surfaces import TINY, Surface, run_in_space
 from .theory import symbols as ca
 from .theory.development import in_space
 from .theory.lowering import Table
@@ -164,7 +164,7 @@ class SceneSystem:
         names += [f"profile[{k}]" for k in range(len(scene.profile.coefficients))]
         owners = ["object", *(f"contacts[{i}].finger" for i in range(len(scene.contacts)))]
         for owner, surface in zip(owners, scene.surfaces):
-            names += [f"{owner}.{name}" for name in (*number_names(surface), "size")]
+            names += [f"{owner}.{name}" for name in (*surface.parameter_names(), "size")]
         return names
 
     # --- functions -------------------------------------------------------------------------------
@@ -474,18 +474,6 @@ def _turned_frame(surface: Surface, frame: Sequence[float], theta: float) -> lis
     """x, p of a moving frame, turned by theta."""
     second = run_in_space(surface, "second", np.vstack(frame))[:, 0]
     return [*frame[:3], *(math.cos(theta) * np.array(frame[3:]) + math.sin(theta) * second)]
-
-
-def number_names(surface: Surface, first: int = 0) -> tuple[str, ...]:
-    """Names of a surface's parameters, or their indices if they have none, counted from `first`."""
-    count = len(surface.parameters)
-    names = surface.__match_args__
-    if isinstance(surface, UserSurface):
-        named = tuple(surface.named_parameters)
-        names = (*(f"center[{first + k}]" for k in range(count - len(named))), *named)
-    if isinstance(surface, Ellipsoid):
-        names = {1: ("a",), 2: ("a", "b" if surface.b == surface.c else "c")}.get(count, names)
-    return names if len(names) == count else tuple(f"parameters[{first + k}]" for k in range(count))
 
 
 # --- on the engine -------------------------------------------------------------------------------

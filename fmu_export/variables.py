@@ -23,7 +23,7 @@ from contact_system.errors import SceneError
 from contact_system.scene import Scene, require_scene
 from contact_system.surfaces import Quadric, Surface
 from contact_system.surfaces.base import OfLengths
-from contact_system.system import SceneSystem, number_names
+from contact_system.system import SceneSystem
 
 from .contact_variables import DERIVATIVES, INPUT_GROUPS, STATE_GROUP, contact_groups
 from .model import equations
@@ -204,7 +204,7 @@ def _parameters(scene: Scene) -> dict[str, Iterable[Variable]]:
 
 def _numbers(owner: str, surface: Surface) -> Iterator[Variable]:
     """The parameters of a body's surface."""
-    for name, value in zip(number_names(surface, 1), surface.parameters):
+    for name, value in zip(surface.parameter_names(1), surface.parameters):
         named = f"{owner}.{name}", value
         text = f"Parameter {name} of the {owner.rpartition('.')[2]}'s surface"
         if isinstance(surface, OfLengths):

@@ -81,6 +81,13 @@ class Surface:
         """Numbers of the surface, such as radii in m; the values of the symbols ``p``."""
         return tuple([getattr(self, name) for name in self.__match_args__])
 
+    def parameter_names(self, first: int = 0) -> tuple[str, ...]:
+        """Names of `parameters`: those of the arguments, or indices, counted from ``first``."""
+        names, count = self.__match_args__, len(self.parameters)
+        if len(names) == count:
+            return names
+        return tuple(f"parameters[{first + k}]" for k in range(count))
+
     @property
     def structure(self) -> tuple[str, ...]:
         """Key of the tables: surfaces of one structure differ only in `numbers`."""

@@ -223,6 +223,10 @@ class Ellipsoid(OfLengths):
     def parameters(self) -> tuple[float, ...]:
         return ellipsoid_chart(self.a, self.b, self.c)[1]
 
+    def parameter_names(self, first: int = 0) -> tuple[str, ...]:
+        names = {self.c: "c", self.b: "b", self.a: "a"}  # of equal axes the first
+        return tuple(names[axis] for axis in self.parameters)
+
     @property
     def least_radius(self) -> float:
         return max(self.c**2 / self.a, self.c / 3)

@@ -72,6 +72,9 @@ class UserSurface(Surface):
         """The parameters of the formula by name."""
         return self.formula.named
 
+    def parameter_names(self, first: int = 0) -> tuple[str, ...]:
+        return self.formula.names
+
     @property
     def structure(self) -> tuple[str, ...]:
         return (self._kind, self.formula.code)
@@ -367,6 +370,9 @@ class ImplicitSurface(UserSurface):
     def parameters(self) -> tuple[float, ...]:
         """The centre, then the formula's numbers in order of their names."""
         return (*self.center, *self.formula.values)
+
+    def parameter_names(self, first: int = 0) -> tuple[str, ...]:
+        return (*(f"center[{first + k}]" for k in range(3)), *self.formula.names)
 
     def frame_expr(self, numbers: ca.SX, x: ca.SX) -> Frame:
         return contact_frame(*self._tangents(numbers, x))
