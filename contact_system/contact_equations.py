@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .surfaces import TINY, TURN, Surface, UserSurface
+from .surfaces import TINY, TURN, Surface
 from .theory import symbols as ca
 from .theory.development import InChart, InSpace, moving
 from .theory.equations import (
@@ -82,7 +82,7 @@ class Body(NamedTuple):
         are regular everywhere.
         """
         surface = self.surface
-        if self.in_space or not (surface.chart.singular_at or isinstance(surface, UserSurface)):
+        if self.in_space or surface.chart.singular_at == "":
             return ca.SX(1)
         least = self.call("lame")[2] / self.size
         if not surface.has_implicit:

@@ -25,6 +25,7 @@ class OneSheetChart(Chart):
     """(a cosh v cos u, b cosh v sin u, c sinh v): hyperboloid of one sheet, p = (a, b, c)."""
 
     periods = (TURN, None)
+    singular_at = ""
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         a, b, c = self.p[0], self.p[1], self.p[2]
@@ -38,6 +39,8 @@ class OneSheetChart(Chart):
 
 class TwoSheetChart(Chart):
     """(a sqrt(1 + u^2 + v^2), b u, c v): one sheet of two, p = (a, b, c)."""
+
+    singular_at = ""
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         return ca.vertcat(self.p[0] * ca.sqrt(1 + u**2 + v**2), self.p[1] * u, self.p[2] * v)
