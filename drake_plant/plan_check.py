@@ -14,7 +14,7 @@ from contact_system import Plan, Scene, SceneSystem
 from contact_system import plan as make_plan
 from contact_system.checks import Array
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
-from contact_system.scene import refuse_rest
+from contact_system.scene import SIDES, refuse_rest
 
 CLEARANCE = 0.01
 """A contact nearer than this to a chart's singularity is refused; a fraction of the body's size."""
@@ -54,7 +54,7 @@ def refuse_drift(scene: Scene, plan: Plan, t: float, points: Array, tolerance: f
     i, side = divmod(int(np.argmax(off)), 2)
     raise SceneError(
         f"{scene.title}, {scene.contact_title(i)}: integrated to t = {t:.6g} s its point on the "
-        f"{('finger', 'object')[side]} is {worst:.2g} m off the exact plan, and "
+        f"{SIDES[side]} is {worst:.2g} m off the exact plan, and "
         f"{limit:.2g} m is allowed: the integrator does not control this planner's error, "
         "or not enough; use error control with a smaller accuracy, such as 1e-8 (not cenic, which "
         "controls the plant's alone), or smaller steps; or PlanSource(plan(scene)), exact under "
@@ -75,7 +75,7 @@ def refuse_singularity(system: SceneSystem, t: Array, x: Array, w: Array, held: 
     if system.coordinates == "frame":
         remedy = "move the contact away from that point, or turn the body's axes"
     raise ChartSingularity(
-        f"{scene.title}, {scene.contact_title(i)}, {('finger', 'object')[side]}: at t = {time:.6g} "
+        f"{scene.title}, {scene.contact_title(i)}, {SIDES[side]}: at t = {time:.6g} "
         f"s the contact is {values[i, side]:.2g} of the body's size from a singular point of the "
         f"chart of {surface!r} ({where}): less than {CLEARANCE:g}, or beyond it; {remedy}"
     )

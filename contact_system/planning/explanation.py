@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from .. import limits
 from ..engine.binding import Fact, Failure
 from ..errors import ChartSingularity, ContactSystemError, SceneError, SurfaceError
-from ..scene import DISTURBANCE_KINDS, STILL, Scene
+from ..scene import DISTURBANCE_KINDS, SIDES, STILL, Scene
 from ..surfaces import ImplicitSurface, Surface
 
-SIDES = ("finger", "object")
 ALMOST_RESTS = 1e-5  # of the greatest coefficient of sigma
 EPS = 2.0**-52
 

@@ -2,7 +2,7 @@
 
 # ruff: noqa: F401
 
-from .contact import REST, ROLLING, Contact, Start, Turning
+from .contact import REST, ROLLING, SIDES, Contact, Start, Turning
 from .disturbances import (
     DISTURBANCE_KINDS,
     SLOTS,

@@ -17,6 +17,7 @@ from .legs import Leg
 
 Pair = tuple[float, float]
 
+SIDES = ("finger", "object")
 ROLLING = "rolling"
 REST = "rest"
 

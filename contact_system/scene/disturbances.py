@@ -1,7 +1,6 @@
 """Disturbances of contacts: one class for each kind.
 
-Each kind adds to one of the inputs of a contact, its slot (`SLOTS`, two chart components each;
-engine/motion.c reads them). The slot tells which body it acts on and whether it accelerates it.
+Each kind adds to one of the inputs of a contact, its slot (engine/motion.c reads them).
 """
 
 from __future__ import annotations
@@ -16,8 +15,10 @@ from ..theory.profile import Numbers
 from .contact import pair
 
 ALL = "all"
-SLOTS = ("acceleration of the finger", "acceleration of the object", "rate offset of the object")
-"""The inputs by which disturbances act on a contact, in the order of systems and FMUs."""
+SLOTS = (("finger", True), ("object", True), ("object", False))
+"""The inputs by which disturbances act on a contact, two chart components each, in the order of
+systems and FMUs: the body in whose chart they are, and whether they accelerate it or add to its
+rate."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,6 @@ class Disturbance:
     slot: ClassVar[int]
     """Index in `SLOTS`."""
     side: ClassVar[str]
-    """ "finger" or "object": the body in whose chart the components are."""
     accelerates: ClassVar[bool]
 
     contact: int | str
@@ -55,7 +55,7 @@ class Disturbance:
     value: Numbers
 
     def __init_subclass__(cls) -> None:
-        cls.side, cls.accelerates = "object" if cls.slot else "finger", cls.slot < 2
+        cls.side, cls.accelerates = SLOTS[cls.slot]
 
     def __post_init__(self) -> None:
         put, contact = object.__setattr__, self.contact

@@ -12,8 +12,7 @@ from ..checks import naming
 from ..engine import binding
 from ..engine.binding import Steer, address
 from ..errors import ChartSingularity, SceneError
-from ..planning.explanation import SIDES
-from ..scene import Contact, Scene
+from ..scene import SIDES, Contact, Scene
 from ..surfaces.plane import is_plane
 from ..theory.equations import reflection_rows
 from .goal import Goal

@@ -20,9 +20,8 @@ import numpy as np
 from ..checks import finite_number
 from ..errors import ContactSystemError, SceneError
 from ..plan import plan
-from ..planning.explanation import SIDES
 from ..planning.motion import Motion
-from ..scene import NO_CLAIMS, STILL, Leg, Scene, require_scene
+from ..scene import NO_CLAIMS, SIDES, STILL, Leg, Scene, require_scene
 from ..scene.contact import ROLLING, all_of
 from .aim import LANES, MOST_LEGS, Aim
 from .four_rolls import four_rolls
