@@ -309,7 +309,8 @@ class Plan:
     def _require_frames(self, name: str) -> None:
         if self.method == "chart":
             raise SceneError(
-                f"{name}: method 'chart' has no parallel frames; use the default method"
+                f"{self.scene.title}, {name}: method 'chart' has no parallel frames; use the "
+                "default method"
             )
 
     def restart(self, t: float, state: ArrayLike) -> Plan:

@@ -214,7 +214,7 @@ class Scene:
         )
         put(self, "duration", finite_number(duration, "duration", "above 0"))
         for i, legs in with_legs:
-            with naming(f"contacts[{i}]"):
+            with naming(self.contact_title(i)):
                 check_legs(legs, self.duration)
         if len(with_legs) < len(self.contacts) or self.profile != STILL:
             self.profile.check(self.duration)
@@ -262,8 +262,8 @@ class Scene:
                 try:
                     at = surface.canonical(*given)
                 except ContactSystemError as error:
-                    name = f" '{contact.name}'" if contact.name else ""
-                    raise SceneError(f"contacts[{i}]{name}: {body}_at = {given}: {error}") from None
+                    what = f"{self.contact_title(i)}: {body}_at = {given}"
+                    raise SceneError(f"{what}: {error}") from None
                 if at == given:
                     continue
                 changes: dict[str, Any] = {f"{body}_at": at}
