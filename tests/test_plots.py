@@ -91,13 +91,12 @@ def test_names_and_descriptions_are_drawn_as_written_and_not_as_formulas(tmp_pat
 
 def test_curves_are_numbered_as_in_the_legend_and_coinciding_ones_have_one_label(tmp_path):
     matplotlib = pytest.importorskip("matplotlib")
-    named = [cs.Contact(finger=FINGER, object_at=(1.0, 0.2), name="finger 12")]
+    named = [cs.Contact(finger=FINGER, object_at=(1.0, 0.2), name="f12")]
     alone, both = (_scene(cs.Sphere(0.1)).replace(contacts=k * named) for k in (1, 2))
-    cases = {"1,2,3": cs.load_scene("K1"), "12": alone, "contact 1 (finger 12)": both}
-    for number, scene in cases.items():
+    for text, scene in {"1,2,3": cs.load_scene("K1"), "12": alone, "contact 1 (f12)": both}.items():
         with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text
             plots.plot_curves(cs.plan(scene), tmp_path / "x.svg")
-        assert f">{number}<" in (tmp_path / "x.svg").read_text()
+        assert f">{text}<" in (tmp_path / "x.svg").read_text()
 
 
 def test_a_picture_that_cannot_be_written_is_refused(tmp_path):

@@ -173,13 +173,11 @@ def test_disturbances_that_replace_keeps_beside_new_contacts_are_not_turned_agai
 
 
 def test_a_contact_at_a_pole_is_refused_by_its_index_and_name():
-    contacts = [Contact(FINGER, (1.0, 0.1 * k)) for k in range(9)]
-    contacts[7] = Contact(FINGER, (0.0, 1.0), name="thumb")
-    with pytest.raises(SceneError, match=r"scene 'small': contact 7 .thumb.: object_at"):
-        small_scene(contacts=contacts)
-    contacts[7] = Contact(FINGER, (1.0, 1.0), finger_at=(pi, 0))
-    with pytest.raises(SceneError, match=r"contact 7: finger_at"):
-        small_scene(contacts=contacts)
+    others = [Contact(FINGER, (1.0, 0.1 * k)) for k in range(7)]
+    with pytest.raises(SceneError, match="scene 'small': contact 7 .thumb.: object_at"):
+        small_scene(contacts=[*others, Contact(FINGER, (0.0, 1.0), name="thumb")])
+    with pytest.raises(SceneError, match="contact 7: finger_at"):
+        small_scene(contacts=[*others, Contact(FINGER, (1.0, 1.0), finger_at=(pi, 0))])
 
 
 # --- disturbances and edges --------------------------------------------------------------------
