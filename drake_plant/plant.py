@@ -77,7 +77,7 @@ from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mes
 from .hand_kinematics import add_hand
 from .meshes import SurfaceMesh, contact_mesh, domain_of
 from .planner_base import FOREVER
-from .pressing import Touch, check_depth, contact_depth, resting, touches_of
+from .pressing import REACH, Touch, check_depth, contact_depth, resting, touches_of
 
 # Edges h are so long that along one a gap of so many contact depths opens. The distance of facets
 # from the surface ripples with the period of the mesh, and a patch of radius a averages the ripple
@@ -96,7 +96,6 @@ GAPS = 1.04, 2.9  # of finger and object
 # to 0.3 N of 1 N (Drake's own spheres 0.9 N), at 35 fingers bounce, beyond that contact is lost.
 WIDEST_GAP = 10.0
 
-REACH = 0.02  # m, by which meshes of unbounded surfaces reach beyond the planned patches
 STRIP = 0.01  # m beyond the planned patches, up to which a large mesh is fine
 TURNING_GAIN = 1e8  # N m/rad
 MOTIONS = "body_poses", "body_spatial_velocities"  # ports of plants

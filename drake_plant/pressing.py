@@ -26,12 +26,16 @@ from contact_system.measures import CONFORMS, relative_curvature
 from contact_system.theory import symbols as ca
 
 from .config import StationConfig
+from .drake_meshes import inner_points
 from .meshes import RoundDomain, icosphere
 
 SPACING = 0.0025  # m, between the points of a planned path at which contacts are examined
 ANOTHER = 0.1  # bodies whose sizes differ by more than this part are not the same body
 LINE = 1e-6  # a least relative curvature below this part of the greatest is 0 but for rounding
+REACH = 0.02  # m, by which meshes of unbounded surfaces reach beyond the planned patches
 POINTS, _ = icosphere(4)  # unit vectors, mapped to the points of a finger that must not overlap
+BALLS = 33  # along a cylinder's axis
+FILLED = Sphere, Cylinder, Torus  # whose coordinates tell the nearest point of the surface
 # The lengths of a surface that shrink by the depth by which contact presses it in.
 RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
 
@@ -183,7 +187,6 @@ def touches_of(scene: Scene) -> list[Touch]:
     times = np.linspace(0, scene.duration, min(max(100, math.ceil(length / SPACING)), 20_000))
     points, poses = plan.points(times), plan.pose(times)
     uv = plan.states(times, gaps=True)[..., [0, 1, 4, 5]]
-    _check_apart(scene, times, poses)
     of_contacts, touches = relative_curvature(plan, times), []
     for i, contact in enumerate(scene.contacts):
         relative = of_contacts[:, i]
@@ -208,31 +211,50 @@ def touches_of(scene: Scene) -> list[Touch]:
         forms = [body.curvature_form(*place) for body, place in zip(bodies, places)]
         means = [float(np.trace(form, axis1=1, axis2=2).mean() / 2) for form in forms]
         touches.append(Touch(at, normals, means, np.sqrt(np.linalg.det(relative))))
+    _check_apart(scene, times, poses, touches)
     return touches
 
 
-def _check_apart(scene: Scene, times: Array, poses: Array) -> None:
+def _check_apart(scene: Scene, times: Array, poses: Array, touches: list[Touch]) -> None:
     """Refuse fingers that would overlap, as fingers do not collide here; poses (m, n, 4, 4).
 
-    Of one finger the sphere, or points of its surface, must be outside the other one. Cylinders
-    are left out: their surface has no ends, so their length is unknown.
+    Balls that fill one finger, or points of its surface, must be outside the other one.
     """
     fingers, R, p = [c.finger for c in scene.contacts], poses[..., :3, :3], poses[..., :3, 3]
+    halves = [
+        float(np.abs(touch.points[0, :, 2]).max()) + REACH for touch in touches
+    ]  # of cylinders
     for i, j in itertools.permutations(range(len(fingers)), 2):
-        finger, other = fingers[i], fingers[j]
-        if isinstance(finger, Cylinder) or isinstance(other, Cylinder):
-            continue
-        centres, radius = np.zeros((1, 3)), finger.size
-        if not isinstance(finger, Sphere):
-            around, _ = RoundDomain(finger).place(POINTS)
-            centres, radius = finger.point(*finger.coordinates(around)), 0.0
+        centres, radius = _filling(fingers[i], halves[i], isinstance(fingers[j], FILLED))
         x = (centres @ R[:, i].swapaxes(1, 2) + (p[:, i] - p[:, j])[:, None]) @ R[:, j]
-        foot, frame = other.point_and_frame(*other.coordinates(x))
-        apart = np.einsum("mki,mki->mk", x - foot, frame[..., 2]) - radius
-        overlap = (apart < 0).any(axis=1)
+        foot, frame = fingers[j].point_and_frame(*fingers[j].coordinates(x))
+        apart = np.einsum("mki,mki->mk", x - foot, frame[..., 2])
+        if isinstance(fingers[j], Cylinder):  # its ends are flat
+            side, end = apart, np.abs(x[..., 2]) - halves[j]
+            outside = np.hypot(np.maximum(side, 0.0), np.maximum(end, 0.0))
+            apart = outside + np.minimum(np.maximum(side, end), 0.0)
+        overlap = (apart < radius).any(axis=1)
         if overlap.any():
             raise SceneError(
                 f"{scene.contact_title(i)} and {scene.contact_title(j)} are planned to overlap at "
                 f"t = {times[np.argmax(overlap)]:.3g} s; move one of them, shorten the scene or "
                 "make them smaller"
             )
+
+
+def _filling(finger: Surface, half: float, balls: bool) -> tuple[Array, float]:
+    """Centres (k, 3) and radius of balls that fill a finger; else points of its surface, and 0.
+
+    half : of a cylinder's length, m
+    balls : whether distances from the other finger are known, of which else the sign is right
+    """
+    if isinstance(finger, Cylinder):
+        size = finger.radius
+        if balls:
+            return np.linspace(-1, 1, BALLS)[:, None] * (0, 0, max(half - size, 0)), min(size, half)
+        rim = np.maximum(np.hypot(*POINTS.T[:2]), np.abs(POINTS[:, 2]))
+        return POINTS / rim[:, None] * (size, size, half), 0.0
+    if balls and isinstance(finger, FILLED):
+        return inner_points(finger), finger.least_radius
+    around, _ = RoundDomain(finger).place(POINTS)
+    return finger.point(*finger.coordinates(around)), 0.0

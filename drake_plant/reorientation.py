@@ -26,8 +26,8 @@ from .balance import balancing_forces, friction_used, needed_wrench
 from .config import StationConfig
 from .hand import Hand
 from .hand_kinematics import Chains
-from .plant import REACH, AddScenePlant, solid_inertia
-from .pressing import resting, rolling_scene
+from .plant import AddScenePlant, solid_inertia
+from .pressing import REACH, resting, rolling_scene
 
 STEPS = 16  # least number of integration steps from the start of the motion to its end
 ACCURATE = 1e-7  # error of a step, in units of the joints

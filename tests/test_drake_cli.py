@@ -169,13 +169,17 @@ def test_slip_of_the_plan_itself_is_reported_as_such_and_not_as_rolling():
     assert "The paper reports: initial slip rejected within 0.04 s." in text
 
 
-@pytest.mark.parametrize("finger", [cs.Sphere(0.04), cs.Torus(0.04, 0.02)])
+@pytest.mark.parametrize("finger", [cs.Sphere(0.05), cs.Torus(0.04, 0.02), cs.Cylinder(0.05)])
 def test_fingers_that_are_planned_to_overlap_are_refused_by_name(finger):
-    scene = cs.load_scene("D1")
-    near = dataclasses.replace(scene.contacts[1], object_at=(0.3886, 3.6), name="its neighbour")
-    both = [dataclasses.replace(contact, finger=finger) for contact in (scene.contacts[0], near)]
-    with pytest.raises(cs.SceneError, match="plant: .*finger 1. and .*its neighbour. are .* at t"):
-        simulate(scene.replace(contacts=both), duration=0.1)
+    near = cs.Contact(cs.Sphere(0.02), object_at=(1.0, 0.3))
+    long = cs.Contact(cs.Ellipsoid(0.04, 0.02, 0.01), object_at=(1.6, 0.3), name="its neighbour")
+    slow = {"profile": cs.Profile([0.02]), "duration": 1.0}
+    scene = cs.Scene(object=cs.Sphere(0.1), contacts=[near, long], **slow)
+    assert simulate(scene, duration=1e-3).t[-1] == 1e-3
+    nearer = dataclasses.replace(long, object_at=(1.3, 0.3))
+    both = [dataclasses.replace(contact, finger=finger) for contact in (near, nearer)]
+    with pytest.raises(cs.SceneError, match="plant: contact 0 and .*its neighbour. are .* at t ="):
+        simulate(scene.replace(contacts=both))
 
 
 def test_the_command_compares_slip_of_a_push_with_feedback_and_without(tmp_path, capsys):
