@@ -63,8 +63,10 @@ def run(args: argparse.Namespace) -> int:
         # pushes are compared with those of the open loop, in a table that hands do not have
         if config.pushes and config.closed_loop and config.hand is None:
             opened = simulate(scene, config.opened(), duration, progress=advance)
-    tell(*_printed(result, opened))
-    tell(*written(stem, result.save, partial(plot, result, opened=opened)))
+    try:
+        tell(*_printed(result, opened))
+    finally:  # logs are written also if nothing can be printed
+        tell(*written(stem, result.save, partial(plot, result, opened=opened)))
     if recording is not None:
         tell(f"wrote {recording}")
     return 0
