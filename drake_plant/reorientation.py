@@ -237,8 +237,8 @@ def _routed(chains: Chains, path: Any, t: Array, q: Array) -> tuple[Array, Array
         Goal(object_at=state[4:6], finger_within=(*contact.finger_at, chains.hand.pad))
         for state, contact in zip(last, chains.scene.contacts)
     ]
-    scene = _starting(chains.scene, first, finger_velocity=(1.0, 0.0))  # legs need a direction
-    route = reach(scene.replace(duration=t[-1] - t[0]), goals).scene
+    start = _starting(chains.scene, first).replace(duration=t[-1] - t[0])
+    route = reach(start, goals).scene
     t = np.linspace(t[0], t[-1], max(LEG_NODES, len(t)))
     curves = make_plan(route).evaluate(t - t[0], "pose", "twist")
     near, rows = q[0], []
@@ -254,10 +254,10 @@ def _routed(chains: Chains, path: Any, t: Array, q: Array) -> tuple[Array, Array
     return t, *np.array(rows).swapaxes(0, 1), route
 
 
-def _starting(scene: Scene, states: Any, **changes: Any) -> Scene:
+def _starting(scene: Scene, states: Any) -> Scene:
     """The scene with contacts that start at the places and angles of states, (n, 9)."""
     contacts = [
-        dataclasses.replace(contact, finger_at=x[:2], object_at=x[4:6], angle=x[8], **changes)
+        dataclasses.replace(contact, finger_at=x[:2], object_at=x[4:6], angle=x[8])
         for contact, x in zip(scene.contacts, states)
     ]
     return scene.replace(contacts=contacts)

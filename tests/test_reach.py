@@ -176,6 +176,7 @@ MIRRORED = {"object_at": (1.0, 0.4), "finger_at": (1.0, -0.4), "angle": 0.0}
 PUSH = cs.FingerAcceleration(contact=0, start=0.1, stop=0.2, value=(0.1, 0.0))
 PUSHED = scene(SMALL, ROUND).replace(disturbances=[PUSH])
 ROLLS = {"finger_velocity": "rolling", "object_velocity": (1.0, 0.0)}
+SLIDING = {"finger_velocity": (0.0, 0.0), "object_velocity": (1.0, 0.0)}
 FOLLOWING = scene(SMALL, ROUND, **ROLLS)
 TWO = scene(SMALL, ROUND)
 TWO = TWO.replace(contacts=TWO.contacts * 2)
@@ -200,7 +201,7 @@ REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
     "one leg for five numbers": ("at least", _reach(WHOLE, legs=1)),
     "bodies that do not touch": ("touch", _reach({"pose": BESIDE}, legs=3)),
     "rolling that is imposed": ("two numbers", lambda: cs.reach(FOLLOWING, cs.Goal(**PLACE))),
-    "no direction": ("direction", _reach(WHOLE, contact={"finger_velocity": (0.0, 0.0)})),
+    "no direction": ("direction", _reach(WHOLE, contact=SLIDING)),
     "disturbances": ("change its path", lambda: cs.reach(PUSHED, cs.Goal(**WHOLE))),
     "one of two fingers": ("contact 1", lambda: cs.reach(TWO, [None, cs.Goal(**BEYOND)])),
     "a loop of no turn": ("no turn", lambda: cs.loop(scene(SMALL, ROUND), 2 * math.pi)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import dataclasses
 import math
 from typing import Any, NamedTuple
 
@@ -12,7 +13,7 @@ from ..checks import naming
 from ..engine import binding
 from ..engine.binding import Steer, address
 from ..errors import ChartSingularity, SceneError
-from ..scene import SIDES, Contact, Scene
+from ..scene import ROLLING, SIDES, Contact, Scene
 from ..surfaces.plane import is_plane
 from ..theory.equations import reflection_rows
 from .goal import Goal
@@ -224,7 +225,11 @@ def _steerable(scene: Scene, index: int, name: str) -> Contact:
     if contact.follows:
         raise SceneError(f'{name}: finger_velocity = "rolling" has no legs; give it as two numbers')
     if not any(contact.finger_velocity):
-        raise SceneError(f"{name}: finger_velocity = (0, 0) gives legs no direction; give it one")
+        if any(contact.start().object_velocity):
+            raise SceneError(
+                f"{name}: finger_velocity = (0, 0) gives legs no direction; give it one"
+            )
+        contact = dataclasses.replace(contact, finger_velocity=(1.0, 0.0), object_velocity=ROLLING)
     if any(d.contact == index for d in scene.disturbances):
         raise SceneError(
             f"{name}: disturbances would change its path; leave them out of the scene, and "
