@@ -310,6 +310,7 @@ class Explorer:
         """Draw what does not depend on time: bodies, colours, goals, the plot of slip."""
         shown, scene = self.shown, self.shown.plan.scene
         self.slip.data = self._slip_data()
+        self.law.disabled = self.gain.disabled = not shown.slip.any()
         for k, (body, lines) in enumerate(zip(self.bodies, self.lines)):
             surface = scene.contacts[k - 1].finger if k else scene.object
             mesh = self.meshes[k]
@@ -373,6 +374,11 @@ class Explorer:
         camera.fov, camera.look_at = 0.8, middle
         away = 1.25 * np.linalg.norm(seen - middle, axis=1).max() / np.sin(camera.fov / 2)
         camera.position = middle + away * best_view(self.meshes[0], curves)[:, 2]
+
+        @self.server.on_client_connect
+        async def _(client: Any) -> None:  # windows taller than wide see as much across
+            narrow = min(client.camera.aspect, 1.0)
+            client.camera.fov = 2 * np.arctan(np.tan(camera.fov / 2) / narrow)
 
 
 def _require_free(port: int) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..plots.meshes import closed_span
-from ..scene import STILL, Scene
+from ..scene import Scene
 from ..surfaces import Surface
 from ..surfaces.base import OfLengths
 
@@ -53,7 +53,13 @@ def adjusted(part: Any, values: Mapping[Place, Any]) -> Any:
 
 def sliders_of(scene: Scene) -> list[Slider]:
     """All sliders except that of the gain."""
-    profile = () if scene.profile == STILL else _of_profile(scene)
+    disturbed = {d.contact for d in scene.disturbances}
+    moved = (
+        i in disturbed or any(map(any, contact.start()[-2:]))
+        for i, contact in enumerate(scene.contacts)
+        if not contact.legs
+    )
+    profile = _of_profile(scene) if any(moved) else ()
     return [*profile, *_of_radii(scene), *_of_disturbances(scene), *_of_starts(scene)]
 
 
