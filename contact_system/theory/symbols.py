@@ -28,13 +28,16 @@ if hasattr(os, "register_at_fork"):  # so that a child's table is consistent; no
 
 
 class _DeferredCtrlC:
-    """Handler that only notes SIGINT: CasADi may lose an exception that is raised inside it."""
+    """Handler that notes SIGINT: CasADi may lose an exception that is raised inside it."""
 
     def __init__(self, usual: Callable[..., Any]):
-        self.usual, self.pending = usual, False
+        self.usual, self.pending, self.immediate = usual, False, False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         self.pending = True
+        if self.immediate:
+            self.usual(number, frame)
+            self.pending = False  # as it raised nothing
 
 
 @contextmanager
@@ -66,11 +69,14 @@ def immediate_ctrl_c() -> Iterator[None]:
     if not isinstance(deferred, _DeferredCtrlC):
         yield
         return
-    signal.signal(signal.SIGINT, deferred.usual)
+    deferred.immediate = True
     try:
         yield
+    except KeyboardInterrupt:
+        deferred.pending = False
+        raise
     finally:
-        signal.signal(signal.SIGINT, deferred)
+        deferred.immediate = False
 
 
 MOST_CACHED = 64  # results of each function
