@@ -400,8 +400,8 @@ def solid_inertia(
             central = unit.Shift(unit.get_com())
             return SpatialInertia(mass, np.zeros(3), central.get_unit_inertia())
     raise SceneError(
-        f"{name}: {surface!r} does not bound a solid whose inertia could be computed; give the "
-        'object as object = "welded", or "turning"'
+        f"{name}: {surface!r} does not bound a solid whose inertia could be computed; give a "
+        'closed one, or, without a hand, object = "welded" or "turning"'
     )
 
 
