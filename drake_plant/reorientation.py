@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from dataclasses import dataclass
 from typing import Any
@@ -78,7 +79,7 @@ class Reorientation:
         The scene with the surfaces on which pressed bodies roll, and contacts where fingers start.
     route : Scene or None
         `rolling` with the legs of :func:`cs.reach` that fingers of six or more joints follow from
-        ``t[0]`` on, for :func:`cs.plan`.
+        ``t[0]`` on, if they can, for :func:`cs.plan`.
     path : PiecewisePose or ShortestPath
         X_WO as a function of time.
     t : (m,)
@@ -251,7 +252,9 @@ def _routed(chains: Chains, path: Any, t: Array, q: Array) -> tuple[Array, Array
         v = chains.velocities(q, V_WF)
         rows.append((q, v))
         near = q + (t[1] - t[0]) * v
-    return t, *np.array(rows).swapaxes(0, 1), route
+    q, v = np.array(rows).swapaxes(0, 1)
+    chains.refuse_limits(t, q)
+    return t, q, v, route
 
 
 def _starting(scene: Scene, states: Any) -> Scene:
@@ -273,8 +276,8 @@ def _planned(
     chains = Chains(config.hand, rolling, config.finger_mass, config.gravity)
     (t, q, v), route = _rolled(chains, path), None
     if min(map(len, chains.joints)) >= FREE:
-        t, q, v, route = _routed(chains, path, t, q)
-        chains.refuse_limits(t, q)
+        with contextlib.suppress(SceneError):  # those that cannot follow legs spin
+            t, q, v, route = _routed(chains, path, t, q)
     X = [path.GetPose(time) for time in t]
     R = np.array([pose.rotation().matrix() for pose in X])
     V, A = (np.array([get(x) for x in t]) for get in (path.GetVelocity, path.GetAcceleration))
