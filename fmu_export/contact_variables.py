@@ -12,7 +12,7 @@ from contact_system.scene import Contact, Scene
 from contact_system.surfaces import Surface
 from contact_system.theory.gain import LAWS
 
-from .model import frame_size
+from .equations import frame_size
 from .quantities import METRE, NONE, RADIAN, SECOND, Unit, Variable, chart_units, per_second
 
 SMALL = 0.1

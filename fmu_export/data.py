@@ -16,7 +16,7 @@ from contact_system.engine.binding import N_TABLES, SURFACES, Sensor
 from contact_system.planning.motion import Buffer
 from contact_system.surfaces import Ellipsoid, Surface, Torus
 
-from .model import TOLERANCE, equations, frame_size, measured
+from .equations import TOLERANCE, equations, frame_size, measured
 from .variables import Table
 
 VERSION, HEADER = 20261208, 26

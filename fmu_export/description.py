@@ -58,7 +58,6 @@ def model_description(
     interfaces: Sequence[str] = INTERFACES,
 ) -> str:
     """The text of modelDescription.xml; token: of `data.scene_data`."""
-    interfaces = check_choice(fmi_version, interfaces)
     head = _head(table, fmi_version)
     head["guid" if fmi_version == "2.0" else "instantiationToken"] = token
     root = ET.Element("fmiModelDescription", head)

@@ -26,7 +26,7 @@ from contact_system.surfaces.base import OfLengths
 from contact_system.system import SceneSystem
 
 from .contact_variables import DERIVATIVES, INPUT_GROUPS, STATE_GROUP, contact_groups
-from .model import equations
+from .equations import equations
 from .quantities import METRE, NONE, SECOND, Unit, Variable, array_of, chart_units, per_second
 
 
@@ -81,7 +81,7 @@ class Table:
         return np.array([x for row in self.rows for x in row.start or (0.0,)])
 
     def structure(self, i: int) -> tuple[Surface, Surface, str, int]:
-        """The arguments of `model.equations` for contact i."""
+        """The arguments of `equations` for contact i."""
         scene, contact = self.scene, self.scene.contacts[i]
         most = max(len(stretch.profile.coefficients) for stretch in scene.way(i))
         return contact.finger, scene.object, scene.gain.law, most

@@ -12,7 +12,7 @@ static inline double *values_of(const component_t *c, long i, int group) {
 
 #include "profile.c"
 #include "starts.c"
-#include "system.c"
+#include "equations.c"
 #include "state.c"
 
 static status_t report(component_t *c, status_t status, const char *format, ...) {

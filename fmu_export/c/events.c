@@ -1,4 +1,37 @@
-/* Events that change a contact's plan: new inputs, a new gain, a measurement. */
+/* Events: edges of windows and corners of legs; what changes a contact's plan, which is new inputs,
+   a new gain or a measurement. */
+
+/* Turns the path velocity where a leg begins. V stays, but is zero after a rest under a law that
+   cancels growth. */
+static void turn_path(component_t *c, long i, const leg_t *leg) {
+  const double cs = leg->turn[0], sn = leg->turn[1];
+  double *x = values_of(c, i, OF_STATES), *w = x + states_of(c->model, i) - 4;
+  const double turned[2] = {cs * w[0] - sn * w[1], sn * w[0] + cs * w[1]};
+  memcpy(w, turned, sizeof turned);
+  if (cancels_growth(c->model) && leg->sigma[0] == 0.0) no_slip(c->model, i, x);
+}
+
+/* From here on, values at an edge are those after it. */
+static void pass_edges(component_t *c) {
+  memory_t *now = c->now;
+  const double before = now->acts_at;
+  now->acts_at = snapped(c, now->time);
+  forget_values(c);
+  now->pending = 0;
+  if (!now->stepping) now->ended = reached(now->time, now->limit);
+  for (long k = 0; k < n_edges(c->model); k++)
+    now->jumped |= before < edge_of(c, k) && edge_of(c, k) <= now->acts_at;
+  if (now->stepping || !(now->phase & (EVENT | CONTINUOUS))) return;
+  for (long i = 0; i < c->model->n_contacts; i++) {
+    for (long k = 1; k < n_legs(c->model, i); k++) {
+      const leg_t leg = leg_of(c, i, k);
+      if (before < leg.start && leg.start <= now->acts_at) turn_path(c, i, &leg);
+    }
+    if (!leaves_slip_behind(c, i)) continue;
+    no_slip(c->model, i, values_of(c, i, OF_STATES));
+    now->jumped = 1;
+  }
+}
 
 /* Whether an input accelerates contact i at rest: then W' is infinite, and no step is possible. */
 static int pushed_at_rest(const component_t *c, long i) {
