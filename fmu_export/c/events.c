@@ -1,5 +1,4 @@
-/* Events: edges of windows and corners of legs; what changes a contact's plan, which is new inputs,
-   a new gain or a measurement. */
+/* Events: edges of windows, corners of legs, new inputs, a new gain, a measurement. */
 
 /* Turns the path velocity where a leg begins. V stays, but is zero after a rest under a law that
    cancels growth. */
@@ -46,8 +45,7 @@ enum { TRIGGER, MEASURED }; /* offsets in the group OF_MEASURED */
 /* Finds the states of contact i at the measured pose, by Newton's method from its planned place; or
    takes the states that are measured, with a table of no unknowns. found: states; M_1 and M_2,
    column by column. */
-static const char *find_measured(component_t *c, long i, const double states[N_STATES],
-                                 const double points[6], const double **found) {
+static const char *find_measured(component_t *c, long i, const double **found) {
   const contact_t *k = c->model->contacts + i;
   const sensor_t *limit = data_at(c->model, c->model->head->sensor);
   const table_t *t = c->model->tables + k->sensor;
@@ -57,7 +55,9 @@ static const char *find_measured(component_t *c, long i, const double states[N_S
   const double *y = r + t->first_out;
   for (int side = 0; side < 2; side++) {
     const size_t n = (size_t)k->unknowns[side];
-    memcpy(x, n == 3 ? points + 3 * side : states + 4 * side, n * sizeof *x), x += n;
+    const double *planned =
+        n == 3 ? values_of(c, i, OF_POINTS) + 3 * side : values_of(c, i, OF_COORDINATES) + 4 * side;
+    memcpy(x, planned, n * sizeof *x), x += n;
   }
   const long unknowns = x - r;
   memcpy(x, values_of(c, i, OF_MEASURED) + MEASURED, (size_t)(t->n_in - unknowns) * sizeof *x);
@@ -103,10 +103,9 @@ static const char *restart_at_states(component_t *c, long i, segment_t *s, const
 /* Lets segment s of contact i begin where it is measured. */
 static const char *restart_at_measurement(component_t *c, long i, segment_t *s) {
   const int posed = c->model->contacts[i].unknowns[0] > 0;
-  int by_plan = posed;
-  const double *planned = values_of(c, i, OF_COORDINATES), *points = values_of(c, i, OF_POINTS);
-  const double *found;
+  const double *planned = values_of(c, i, OF_COORDINATES), *found;
   double x[N_STATES];
+  int by_plan = posed;
   if (!(sigma_now(c, i) > 0))
     return "sigma is zero, so that rates do not determine path velocities; measure while sigma > 0";
   for (int side = 0; side < 2; side++) by_plan |= surface_of(c->model, i, side)->double_cover;
@@ -115,7 +114,7 @@ static const char *restart_at_measurement(component_t *c, long i, segment_t *s) 
     by_plan = !plan_to(c, i, c->now->acts_at) &&
               !evaluate(c, i, time_on(c, i), BIT(OF_COORDINATES) | (posed ? BIT(OF_POINTS) : 0));
   if (posed && !by_plan) return "its plan has no coordinates there; measure a moment later";
-  const char *wrong = find_measured(c, i, planned, points, &found);
+  const char *wrong = find_measured(c, i, &found);
   if (wrong) return wrong;
   memcpy(x, found, sizeof x);
   for (int side = 0; side < 2 && by_plan; side++) {
