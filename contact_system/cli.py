@@ -27,13 +27,12 @@ from . import __version__, plots
 from .checks import known_keys, make_folder, naming
 from .errors import ContactSystemError, SceneError
 from .measures import (
-    CONFORMS,
     REJECTED,
     Rejection,
     great_circle_distance,
     is_dynamic,
+    overlaps,
     rejections,
-    relative_curvature,
 )
 from .plan import METHODS, Plan, plan
 from .scene import Scene, bundled_scenes, load_scene, save_scene
@@ -170,7 +169,7 @@ def _explain(args: argparse.Namespace) -> int:
     with Progress(1, "planning"):
         planned = plan(scene, args.tolerance, args.method)
     lines = (paragraph(line, "    ") for line in planned.explain().splitlines())
-    tell(*lines, *_contraction(scene), *_overlaps(planned))
+    tell(*lines, *_contraction(scene))
     return 0
 
 
@@ -322,7 +321,7 @@ def _report(plans: Plans) -> Iterable[str]:
         yield from ("", *verdict, *_contraction(scene)[not verdict :])
     else:
         yield "No slip: every contact rolls or rests throughout."
-    yield from (*_great_circles(planned), *_overlaps(planned), "")
+    yield from (*_great_circles(planned), *map(paragraph, overlaps(planned)), "")
 
 
 def _slip_table(plans: Plans) -> Iterable[str]:
@@ -382,19 +381,4 @@ def _great_circles(plan: Plan) -> Iterable[str]:
             yield paragraph(
                 f"{plan.scene.contact_name(i)}: its curve stays within {distance:.1e} m of a great "
                 f"circle's plane, {distance / contact.finger.size:.1e} of the radius."
-            )
-
-
-def _overlaps(plan: Plan) -> Iterable[str]:
-    """Notes on contacts whose bodies overlap beside the contact point, which plans do not check."""
-    t = plan.regular_times(plan.sample_times())
-    least = np.linalg.eigvalsh(relative_curvature(plan, t))[..., 0]
-    for i, contact in enumerate(plan.scene.contacts):
-        found = np.flatnonzero(least[:, i] < -CONFORMS / contact.finger.size)
-        if len(found):
-            yield paragraph(
-                f"Note: {plan.scene.contact_title(i)}: from t = {t[found[0]]:.3g} s on the bodies "
-                "overlap beside the contact point (the least relative curvature is "
-                f"{least[found, i].min():.3g} 1/m), as real ones cannot. Make the finger smaller, "
-                "or plan contact where the object is less concave."
             )

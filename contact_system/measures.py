@@ -261,6 +261,22 @@ def relative_curvature(plan: Plan, t: np.ndarray) -> np.ndarray:
     return relative
 
 
+def overlaps(plan: Plan) -> list[str]:
+    """Notes on contacts whose bodies overlap beside the contact point, which plans do not check."""
+    t, notes = plan.regular_times(plan.sample_times()), list[str]()
+    least = np.linalg.eigvalsh(relative_curvature(plan, t))[..., 0]
+    for i, contact in enumerate(plan.scene.contacts):
+        found = np.flatnonzero(least[:, i] < -CONFORMS / contact.finger.size)
+        if len(found):
+            notes.append(
+                f"Note: {plan.scene.contact_title(i)}: from t = {t[found[0]]:.3g} s on the bodies "
+                "overlap beside the contact point (the least relative curvature is "
+                f"{least[found, i].min():.3g} 1/m), as real ones cannot. Make the finger smaller, "
+                "or plan contact where the object is less concave."
+            )
+    return notes
+
+
 # --- curves ------------------------------------------------------------------------------------
 
 

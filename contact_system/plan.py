@@ -236,10 +236,13 @@ class Plan:
     def explain(self) -> str:
         """A text on how each contact and interval was computed, why, and what was skipped.
 
-        A panel is one step of Gauss collocation.
+        A panel is one step of Gauss collocation. A note follows for each contact whose bodies
+        overlap beside the contact point.
         """
+        from .measures import overlaps  # which imports this module
+
         head = f"{self.scene.title}: tolerance {self.tolerance:g}, method {self.method}"
-        return "\n".join([head, *self._motion.lines()])
+        return "\n".join([head, *self._motion.lines(), *overlaps(self)])
 
     def continued(self, t: float, scene: Scene | None = None) -> Plan:
         """The plan from time t on, under other disturbances, gain, profile or duration.

@@ -91,6 +91,7 @@ def test_run_notes_a_finger_that_is_too_large_for_its_bowl(tmp_path, capsys):
     assert _run("run", tmp_path / "bowl.toml", "--no-plots", "--out", tmp_path) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "Note: contact 0: from t = 0 s on the bodies overlap" in out and out.count("Note: ") == 1
+    assert "bodies overlap" in cs.plan(cs.load_scene(tmp_path / "bowl.toml")).explain()
 
 
 def test_explain_prints_methods_and_contraction(capsys):
