@@ -32,8 +32,9 @@ class PlanSource(PlannerBase, LeafSystem):
         - those of a ContactPlanner
 
     Unlike a ContactPlanner's in frame coordinates, chart coordinates are continuous along the path.
-    There is no continuous state, so nothing is integrated, and no conversion to other scalars. No
-    integrator steps across an edge of the scene's windows or a corner of legs.
+    There is no continuous state, so nothing is integrated, and no conversion to other scalars, so
+    Drake's Clone refuses it; threads may share it with a Context each. No integrator steps across
+    an edge of the scene's windows or a corner of legs.
 
     Parameters
     ----------
