@@ -427,7 +427,7 @@ CONE = cs.ParametricSurface(("v*cos(u)", "v*sin(u)", "-v"), size=0.1)
 def test_path_straight_through_the_tip_of_a_cone_is_refused():
     aside, up = (alone(CONE, (0.2, 0.05), finger_velocity=w) for w in ((1.0, 0.0), (0.0, 1.0)))
     assert np.isfinite(cs.plan(aside).pose([0.1])).all()
-    with pytest.raises(cs.ContactSystemError, match=r"contact 0: .* \(u, v\) = \(0\.(2|19)"):
+    with pytest.raises(cs.ContactSystemError, match=r"contact 0: .* \(u, v\) = \("):
         cs.plan(up)
 
 
@@ -438,7 +438,7 @@ def rolled_over(obj: cs.Surface, u: float, profile=(0.1,), v=0.0) -> cs.Scene:
 
 @pytest.mark.parametrize(
     ("profile", "tolerance"),
-    [((0.02, 0.3), 1.4e-10), ((0.02, 0.3), 1e-8), ((0.4, -0.39), 1.1e-3), ((0.4, -0.39), 1.6e-4)],
+    [((0.02, 0.3), 1e-11), ((0.02, 0.3), 1e-7), ((0.4, -0.39), 1.1e-3), ((0.4, -0.39), 1.6e-4)],
 )
 def test_a_path_through_a_users_pole_is_refused_or_right_wherever_panels_end(profile, tolerance):
     refused, t = 0, np.linspace(0, 1, 11)
