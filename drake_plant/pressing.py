@@ -35,7 +35,7 @@ LINE = 1e-6  # a least relative curvature below this part of the greatest is 0 b
 REACH = 0.02  # m, by which meshes of unbounded surfaces reach beyond the planned patches
 POINTS, _ = icosphere(4)  # unit vectors, mapped to the points of a finger that must not overlap
 BALLS = 33  # along a cylinder's axis
-FILLED = Sphere, Cylinder, Torus  # whose coordinates tell the nearest point of the surface
+FILLED = Sphere, Cylinder, Torus  # their `coordinates` of a point are those of the nearest point
 # The lengths of a surface that shrink by the depth by which contact presses it in.
 RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
 
@@ -221,15 +221,14 @@ def _check_apart(scene: Scene, times: Array, poses: Array, touches: list[Touch])
     Balls that fill one finger, or points of its surface, must be outside the other one.
     """
     fingers, R, p = [c.finger for c in scene.contacts], poses[..., :3, :3], poses[..., :3, 3]
-    halves = [
-        float(np.abs(touch.points[0, :, 2]).max()) + REACH for touch in touches
-    ]  # of cylinders
+    # half the lengths of cylinders, whose axis is z
+    halves = [float(np.abs(touch.points[0, :, 2]).max()) + REACH for touch in touches]
     for i, j in itertools.permutations(range(len(fingers)), 2):
         centres, radius = _filling(fingers[i], halves[i], isinstance(fingers[j], FILLED))
         x = (centres @ R[:, i].swapaxes(1, 2) + (p[:, i] - p[:, j])[:, None]) @ R[:, j]
         foot, frame = fingers[j].point_and_frame(*fingers[j].coordinates(x))
         apart = np.einsum("mki,mki->mk", x - foot, frame[..., 2])
-        if isinstance(fingers[j], Cylinder):  # its ends are flat
+        if isinstance(fingers[j], Cylinder):  # the distance from one with flat ends
             side, end = apart, np.abs(x[..., 2]) - halves[j]
             outside = np.hypot(np.maximum(side, 0.0), np.maximum(end, 0.0))
             apart = outside + np.minimum(np.maximum(side, end), 0.0)
@@ -245,8 +244,9 @@ def _check_apart(scene: Scene, times: Array, poses: Array, touches: list[Touch])
 def _filling(finger: Surface, half: float, balls: bool) -> tuple[Array, float]:
     """Centres (k, 3) and radius of balls that fill a finger; else points of its surface, and 0.
 
-    half : of a cylinder's length, m
-    balls : whether distances from the other finger are known, of which else the sign is right
+    half : half the length of a cylinder, m
+    balls : whether distances from the other finger are exact; if not, only their sign is right, and
+        points are needed
     """
     if isinstance(finger, Cylinder):
         size = finger.radius
