@@ -77,7 +77,10 @@ static int leave(work_t *w) {
   return (int)w->failure->code;
 }
 
-static int anchor(plan_t *plan, failure_t *failure) {
+static int anchor(plan_t *plan, double *const *out, failure_t *failure) {
+  int needed = !out;
+  for (int k = 0; k < N_IN_FRAMES; k++) needed |= out && out[IN_FRAMES[k].output];
+  if (!needed) return NO_FAILURE;
   work_t own, *const w = enter(plan, &own, failure);
   if (setjmp(w->jump) == 0)
     for (contact_t *c = plan->contacts; c < plan->contacts + plan->n_contacts; c++)
@@ -104,7 +107,7 @@ static int evaluate(const plan_t *plan, int64_t n, const double *t, double *cons
 static int evaluate_at(plan_t *plan, double t, double *const *out, failure_t *failure) {
   if (!plan->work) plan->work = calloc(1, sizeof *plan->work);
   if (!plan->work) return (int)(failure->code = NO_MEMORY);
-  if ((out[STATES] || out[SLIP]) && anchor(plan, failure)) return (int)failure->code;
+  if (anchor(plan, out, failure)) return (int)failure->code;
   return evaluate(plan, 1, &t, out, failure);
 }
 

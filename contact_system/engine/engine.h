@@ -191,8 +191,9 @@ typedef struct {
   plan_t *(*plan)(const double *scene, int64_t size, const surface_t *const *surfaces,
                   failure_t *failure);
   void (*drop)(plan_t *plan);
-  /* finds the branches of charts, which STATES, SLIP, ACCELERATION, CARRIED and moments need */
-  int (*anchor)(plan_t *plan, failure_t *failure);
+  /* finds the branches of charts if `out` asks for results in contact frames, or is NULL: before
+     evaluate, and before moments */
+  int (*anchor)(plan_t *plan, double *const *out, failure_t *failure);
   /* out[output][contact][row][time], NULL where not asked for */
   int (*evaluate)(const plan_t *plan, int64_t n, const double *t, double *const *out,
                   failure_t *failure);
@@ -214,8 +215,8 @@ typedef struct {
      be followed; and unless it is NULL, x J at m equal parts, path[m][4][n], to some digits */
   int (*geodesics)(const geodesic_t *geodesic, int64_t n, const double *start, const double *length,
                    const double *tolerance, double *end, int64_t m, double *path);
-  /* `evaluate` at one time, after `anchor` if STATES or SLIP need it. The working memory stays with
-     the plan, which one thread at a time may use. */
+  /* `anchor` and `evaluate` at one time. The working memory stays with the plan, which one thread
+     at a time may use. */
   int (*evaluate_at)(plan_t *plan, double t, double *const *out, failure_t *failure);
   /* paths of n legs to a goal: see steer.c */
   int64_t (*steer)(const steer_t *aim, int64_t n, int64_t count, double (*z)[L], double *off,

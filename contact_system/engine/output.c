@@ -303,20 +303,24 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t
   put_slip(w, to, c, m);
 }
 
-/* Results that need a frame are not finite at a pole or an umbilic. The first such time becomes the
-   failure; the other contacts are evaluated all the same. */
+/* Results in contact frames, and how many of their first rows are the finger's */
+enum { N_IN_FRAMES = 4 };
+static const struct {
+  int output, of_finger;
+} IN_FRAMES[N_IN_FRAMES] = {{STATES, 4}, {SLIP, 0}, {ACCELERATION, 0}, {CARRIED, 3}};
+
+/* They are not finite at a pole or an umbilic. The first such time becomes the failure; the other
+   contacts are evaluated all the same. */
 static void report_singular(work_t *w, const contact_t *c, int64_t n, const double *t,
                             double *const *out) {
-  static const int asked[] = {STATES, SLIP, ACCELERATION, CARRIED};
-  static const int of_finger[] = {4, 0, 0, 3}; /* how many of the first rows are the finger's */
-  for (int a = 0; a < 4 && !w->failure->code; a++) {
-    const double *y = out[asked[a]];
-    const int64_t size = y ? n * OUTPUT_ROWS[asked[a]] : 0;
+  for (int a = 0; a < N_IN_FRAMES && !w->failure->code; a++) {
+    const double *y = out[IN_FRAMES[a].output];
+    const int64_t size = y ? n * OUTPUT_ROWS[IN_FRAMES[a].output] : 0;
     int64_t i = 0;
     while (i < size && isfinite(y[i])) i++;
     if (i == size) continue;
     w->failure->contact = c - w->plan->contacts, w->failure->t = t[i % n];
-    w->failure->side = i / n >= of_finger[a], w->failure->code = SINGULAR_TIME;
+    w->failure->side = i / n >= IN_FRAMES[a].of_finger, w->failure->code = SINGULAR_TIME;
   }
 }
 

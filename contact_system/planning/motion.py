@@ -51,8 +51,6 @@ _ALL = {**SHAPES, FRAMES: (2, 12)}
 _SIZES = {name: math.prod(shape) for name, shape in _ALL.items()}
 _PLACES = {name: place for place, name in enumerate(_ALL)}
 _TIMES_FIRST = {name: (len(shape) + 1, *range(len(shape) + 1)) for name, shape in _ALL.items()}
-IN_CONTACT_FRAMES = {"states", "slip", "acceleration", "carried"}
-"""Results that depend on the branches of the charts, which the engine finds at their first use."""
 
 
 # --- the scene as numbers ------------------------------------------------------------------------
@@ -192,8 +190,6 @@ class Motion:
 
         gaps: at a pole or an umbilic return what is not finite instead of raising an error.
         """
-        if not IN_CONTACT_FRAMES.isdisjoint(names):
-            self._call(binding.anchor)  # does nothing after the first time
         t = np.ascontiguousarray(t)
         count, n = self._count, len(t)
         # one block: freed pages of several large arrays would be cleared by the system for reuse
@@ -204,6 +200,7 @@ class Motion:
             outputs[_PLACES[name]] = first + 8 * start
             values = block[start:stop].reshape(count, *_ALL[name], n)
             results[name] = values.transpose(_TIMES_FIRST[name])
+        self._call(binding.anchor, ctypes.addressof(outputs))  # does nothing after the first time
         failure = binding.Failure()
         if n and binding.evaluate(self, n, address(t), ctypes.addressof(outputs), byref(failure)):
             if failure.code == OUTSIDE:
@@ -221,7 +218,7 @@ class Motion:
     def moments(self, t: float) -> list[Moment]:
         """The state of every contact's moving frames at time t."""
         rows = np.empty((self._count, MOMENT))
-        self._call(binding.anchor)
+        self._call(binding.anchor, None)
         self._call(binding.moments, t, address(rows))
         found = []
         for contact, row in zip(self.scene.contacts, rows.tolist()):
