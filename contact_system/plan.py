@@ -473,10 +473,10 @@ def load(path: str | os.PathLike[str]) -> Plan:
         `contact_system.limits`.
     """
     from .archives import opened  # archives are slow to import
-    from .planning.saved import PLAN_FILE, inputs_of
+    from .planning.saved import inputs_of
 
     path = a_path(path)
     if path.suffix == ".toml":
         raise ContactSystemError(f"{path} is a scene file: give it to load_scene, or a plan's .npz")
-    with opened(path, PLAN_FILE) as archive:
+    with opened(path, "a plan written by Plan.save") as archive:
         return Plan(**inputs_of(archive, str(path)))

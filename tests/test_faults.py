@@ -175,15 +175,3 @@ def test_three_sweeps_at_once_in_one_folder_give_what_each_gives_alone(begin_swe
     found = [digest(each) for each in [begin_sweep("shared", first) for first in (0, 1000, 0)]]
     assert found == [digest(begin_sweep(f"alone {first}", first)) for first in (0, 1000, 0)]
     assert len(list((tmp_path / "shared").glob("*.npz"))) == 60
-
-
-def test_a_sweeps_file_that_was_swapped_or_edited_is_made_again(tmp_path):
-    scenes = [PLAN.scene.replace(duration=duration) for duration in (1.0, 2.0)]
-    first = cs.sweep(scenes, folder=tmp_path, chunk=1).table
-    one, two = sorted(tmp_path.iterdir())
-    two.write_bytes(one.read_bytes())
-    with np.load(one) as data:
-        changed = {name: data[name] for name in data.files}
-    changed["table"]["slip_end"] += 1.0
-    np.savez(one, **changed)
-    assert np.array_equal(cs.sweep(scenes, folder=tmp_path, chunk=1).table, first)

@@ -109,8 +109,8 @@ def sweep(
         interrupted sweep: it skips chunks of which the scenes (or the contents of their files), the
         tolerance, the name of ``evaluate``, and the numbers, texts, tuples, arrays and parts of
         scenes in its closure and defaults of arguments are unchanged. A lambda, having no name, is
-        refused. Files are named and checked by digests: sweeps may share a folder, even at the same
-        time, and damaged chunks are done again. Results of scenes that have changed stay there.
+        refused. Sweeps may share a folder, even at the same time, and damaged chunks are done
+        again. Results of scenes that have changed stay there.
     chunk : int, optional
         Number of scenes that a worker takes at a time, and at most plans together; default 500, or
         1 with ``each``.
