@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from contact_system import Plan, SceneError
-from contact_system.checks import Array, finite_number
+from contact_system.checks import Array, finite_number, naming
 from contact_system.plan import require_plan
 
 FIRST, MOST = 64, 2**17
@@ -68,10 +68,9 @@ def MakeTrajectories(plan: Plan, contact: int = 0, tolerance: float = 1e-5) -> C
         No such contact, or a tolerance that takes more than 130 000 pieces.
     """
     require_plan(plan)
-    count = len(plan.scene.contacts)
-    if contact not in range(count):
-        raise SceneError(f"{plan.scene.title}: contact = {contact!r}: give one of 0 to {count - 1}")
-    finite_number(tolerance, f"{plan.scene.title}: tolerance", "above 0")
+    with naming(plan.scene.title):
+        plan.scene.require_contact(contact)
+        finite_number(tolerance, "tolerance", "above 0")
     edges = [e for e in plan.scene.edges if plan.start < e < plan.end]
     spans = itertools.pairwise([plan.start, *edges, plan.end])
     t, turns, (whole, *others) = zip(*(_fitted(plan, contact, span, tolerance) for span in spans))

@@ -146,6 +146,15 @@ class Scene:
         alone = name and sum(contact.name == name for contact in self.contacts) == 1
         return name if alone else self.contact_title(index)
 
+    def require_contact(self, index: Any, others: str = "") -> None:
+        """Raise a SceneError if the scene has no contact of this index; ``others`` also go."""
+        count = len(self.contacts)
+        if index not in range(count):
+            raise SceneError(
+                f"contact = {index!r}: the scene has {count} contact{'s' * (count > 1)}; give "
+                f"{f'0 to {count - 1}' if count > 1 else 0}{others}"
+            )
+
     @property
     def surfaces(self) -> list[Surface]:
         """The object's surface, then those of the fingers."""
@@ -230,18 +239,17 @@ class Scene:
 
     def _on_contacts(self, disturbance: Disturbance) -> list[Disturbance]:
         """The disturbance, checked against the scene, once for each contact it acts on."""
-        count, d = len(self.contacts), disturbance
+        d = disturbance
         if d.start < 0 or d.stop > self.duration:
             raise SceneError(
                 f"start = {d.start:g}, stop = {d.stop:g}: the window is not inside the horizon "
                 f"[0, {self.duration:g}] s; move it or change the duration"
             )
-        indices = range(count) if isinstance(d.contact, str) else [d.contact]
-        if not 0 <= indices[0] < count:
-            raise SceneError(
-                f"contact = {d.contact}: the scene has {count} contact{'s' * (count > 1)}, "
-                f'counted from 0; use {f"0 to {count - 1}" if count > 1 else 0} or "all"'
-            )
+        if isinstance(d.contact, str):
+            indices = [*range(len(self.contacts))]
+        else:
+            self.require_contact(d.contact, f' or "{ALL}"')
+            indices = [d.contact]
         for i in indices:
             if self.contacts[i].follows:
                 raise SceneError(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import finite_number
+from ..checks import finite_number, naming
 from ..errors import SceneError
 from ..planning.motion import FRAMES, Motion
 from ..scene import Scene, require_scene
@@ -64,11 +64,8 @@ def loop(scene: Scene, angle: float, *, contact: int = 0, seconds: float = 0.0) 
         No path is found; the text says why.
     """
     require_scene(scene)
-    if contact not in range(len(scene.contacts)):
-        raise SceneError(
-            f"{scene.title}: contact = {contact!r}: give an index from 0 to "
-            f"{len(scene.contacts) - 1}"
-        )
+    with naming(scene.title):
+        scene.require_contact(contact)
     angle, start = finite_number(angle, "angle"), scene.contacts[contact]
     if not abs(math.remainder(angle, 2 * math.pi)) > 1e-9:
         raise SceneError(f"angle = {angle!r}: that is no turn; give another one, in rad")
