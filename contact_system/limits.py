@@ -27,11 +27,5 @@ takes up to 5 ms. A search needs many where the least radius of curvature is tin
 with many waves between the points."""
 PLAN_BYTES = 5e7
 """Unpacked size of a saved plan's restart data."""
-FMU_BYTES = 2e9
-"""Unpacked size of an FMU."""
-DESCRIPTION_BYTES = 5e7
-"""Size of an FMU's modelDescription.xml."""
-FMU_ELEMENTS = 1_000_000
-"""Elements of all variables that an FMU declares, arrays included."""
 MESSAGE = 1000
 """Characters of an error's text; the middle of a longer one is left out."""

@@ -26,7 +26,7 @@ from fmpy.simulation import (
 )
 
 from contact_system.archives import opened
-from contact_system.checks import Array, a_path, did_you_mean, within
+from contact_system.checks import Array, a_path, did_you_mean
 from contact_system.errors import ContactSystemError
 
 from .fmu_contents import PortVariables, carried, library_of, read_description, size_of
@@ -302,8 +302,6 @@ def _unpacked(path: Path, made: contextlib.ExitStack) -> Path:
         raise ContactSystemError(f"there is no {path}: give an FMU or its folder")
     folder = _new_folder(made)
     with opened(path, "an FMU") as archive:
-        total = sum(member.file_size for member in archive.infolist())
-        within("FMU_BYTES", total, "bytes when unpacked", ContactSystemError)
         archive.extractall(folder)  # never outside of it, whatever the names of members
     return folder
 

@@ -501,14 +501,11 @@ def changed_fmu(good, path, old="", new="", **members):
     return path
 
 
-def test_a_malicious_fmu_is_refused_and_writes_nothing_outside_its_folder(
+def test_a_damaged_fmu_is_refused_and_writes_nothing_outside_its_folder(
     build, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # where FMUs are unpacked
-    end = "</ModelVariables>"
-    array = f'<Float64 name="a" valueReference="99"><Dimension start="{10**12}"/></Float64>{end}'
     for change, message in (
-        ({"old": end, "new": array}, "FMU_ELEMENTS high"),
         ({"old": "<ModelVariables>", "new": "<a>" * 10**5}, "is not one of FMI 2 or 3"),
         ({"../x": b"", "library": b"text"}, "failed at t = 0 s"),
     ):
@@ -516,12 +513,6 @@ def test_a_malicious_fmu_is_refused_and_writes_nothing_outside_its_folder(
         with pytest.raises(cs.ContactSystemError, match=f"strange.fmu.*{message}"):
             FmuSystem(path, step=STEP)
     assert not (tmp_path / "x").exists()
-
-
-def test_an_fmu_unpacks_to_no_more_than_a_limit(build, monkeypatch):
-    monkeypatch.setattr(cs.limits, "FMU_BYTES", 1e3)
-    with pytest.raises(cs.ContactSystemError, match="integrators.fmu.*limits.FMU_BYTES higher"):
-        FmuSystem(build(), step=STEP)
 
 
 @pytest.mark.parametrize("version", VERSIONS)

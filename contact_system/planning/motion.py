@@ -100,7 +100,7 @@ class Buffer:
         begins: Sequence[Any] = starts or [contact.start() for contact in scene.contacts]
         windows, solved, rows = _windows(scene, begin), _solved_frames(scene, begins), []
         legs: dict[Sequence[Leg], tuple[int, int]] = {}
-        for i, (contact, start) in enumerate(zip(scene.contacts, begins)):
+        for i, (contact, start) in enumerate(zip(scene.contacts, begins, strict=True)):
             acting, index = windows.get(i, ()), 0
             if acting:
                 index = self._put([x for d in acting for x in (d.slot, d.start, d.stop, *d.value)])
