@@ -9,9 +9,8 @@ from pydrake.systems.framework import LeafSystem
 
 from contact_system import Plan, SceneError
 from contact_system.checks import Array
-from contact_system.engine.binding import run
 from contact_system.plan import require_plan
-from contact_system.system import system_table
+from contact_system.system import SystemMachine
 
 from .lifetimes import NO_DICTIONARY
 from .planner_base import PlannerBase, scene_system
@@ -76,7 +75,7 @@ class PlanSource(PlannerBase, LeafSystem):
     def _Rates(self, t: float) -> dict[str, Array]:
         system = self.system
         x, held = system.place(t, self.plan.moments(t))
-        table, ends = system_table(system, *RATES)
-        point = np.hstack([t, x, system.window_values(t), held])
-        found = run(table, point[:, None], system.parameters)[:, 0]
-        return dict(zip(RATES, np.split(found, ends[:-1])))
+        machine = SystemMachine(system, *RATES)
+        machine.point[:] = np.hstack([t, x, system.window_values(t), held])
+        machine.run()
+        return dict(zip(RATES, machine.parts))
