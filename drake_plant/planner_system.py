@@ -287,15 +287,15 @@ class ContactPlanner(_Convertible, LeafSystem):
         time[0] = t = context.get_time()
         x[:] = context.get_continuous_state_vector().value()
         after, before = scratch.w_valid
-        if after < t < before:
+        if after <= t < before:
             return scratch
         scratch.w[:] = self._Acting(context, *outputs)
         if self._held is not None:
             scratch.held[:] = context.get_discrete_state(self._held).value()
         if self._held is self._disturbance is None:
             edges = (-math.inf, *self.system.edges, math.inf)
-            k = bisect.bisect_left(edges, t)
-            scratch.w_valid = (t, t) if t in edges else (edges[k - 1], edges[k])
+            k = bisect.bisect_right(edges, t)
+            scratch.w_valid = edges[k - 1], edges[k]
         return scratch
 
     def _Parts(self, context: Any, *outputs: str) -> list[Array]:

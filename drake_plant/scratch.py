@@ -24,7 +24,7 @@ class Scratch:
     Attributes
     ----------
     arguments : t, x, w, held, the arrays that `SceneSystem.function` takes, but for p
-    w_valid : w is the same at all times between these two
+    w_valid : w is the same from the first of these times until the second
     written : t and x as memoryviews, which are written faster than arrays
     rates : run, guard and derivatives of the machine that computes derivatives
     """
