@@ -1,9 +1,8 @@
 """What is refused while a planner is integrated: drift off the exact plan, and singular points.
 
 With fixed steps nothing controls the error of a planner's states, nor does cenic, which controls
-the plant's alone (github.com/RobotLocomotion/drake/issues/23921): its Euler steps put the contacts
-of D1 3.6 mm off after 0.5 s. But the exact states are known: those of the plan from where the
-simulation began or last restarted.
+the plant's alone (github.com/RobotLocomotion/drake/issues/23921). But the exact states are known:
+those of the plan from where the simulation began or last restarted.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import numpy as np
 from contact_system import Plan, Scene, SceneSystem
 from contact_system import plan as make_plan
 from contact_system.checks import Array
+from contact_system.engine.binding import sign_changes
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
 from contact_system.scene import SIDES, refuse_rest
 
@@ -23,6 +23,7 @@ TOLERANCE = 1.5e-6
 """How far contact points may be off the exact plan, per metre of path and of the greater body's
 size. In D1 that is 1e-6 m at 0.5 s and 9e-6 m at the end, where runge_kutta3 is off by 5e-6 m with
 the steps of 1 ms of a discrete plant, by 3e-4 m alone at an accuracy of 1e-3, cenic by 30 mm."""
+
 COMPARISONS = 20
 """How often a planner is compared with the plan over a scene, besides whenever the time since the
 start has doubled; each comparison takes 30 us."""
@@ -35,9 +36,8 @@ def exact_plan(scene: Scene, start: float, states: bytes, end: float) -> Plan | 
     """
     try:
         if end > scene.duration:  # simulations may go on until sigma is negative
-            roots = np.polynomial.Polynomial(scene.profile.coefficients).roots()
-            zeros = roots.real[(roots.imag == 0) & (roots.real > scene.duration)]
-            scene = scene.replace(duration=min([2 * end, *(zeros * (1 - 1e-9))]))
+            turns = sign_changes(scene.profile.coefficients, scene.duration, 2 * end)
+            scene = scene.replace(duration=min([2 * end, *((1 - 1e-9) * t for t in turns)]))
         plan = make_plan(scene)
         return plan.restart(start, np.frombuffer(states).reshape(-1, 9)) if states else plan
     except ContactSystemError:
@@ -47,7 +47,7 @@ def exact_plan(scene: Scene, start: float, states: bytes, end: float) -> Plan | 
 def refuse_drift(scene: Scene, plan: Plan, t: float, points: Array, tolerance: float) -> None:
     """Raise a SceneError where contact points (6 n) are too far from the plan's at time t."""
     off = np.sqrt(((points.reshape(-1, 2, 3) - plan.points(t)[0]) ** 2).sum(axis=2))
-    size = max(scene.object.size, *(contact.finger.size for contact in scene.contacts))
+    size = max(surface.size for surface in scene.surfaces)
     worst, limit = off.max(), tolerance * (size + scene.path_length(t))
     if worst <= limit:
         return
