@@ -33,8 +33,6 @@ from .planner_base import PlannerBase, scene_system
 from .scalars import evaluate_scalars
 from .scratch import PerThread, Scratch
 
-NEARBY = 10 * CLEARANCE
-"""Nearer than this to a chart's singularity, the end of each step is examined."""
 AS_SCENE, AS_STATE, DISTURBED = 1.0, 2.0, 3.0
 """Contacts follow the scene's plan, the plan from a state, or none, as the port disturbs them."""
 PLAN, SINCE, BEGAN, DUE, HEADER = range(5)  # places in `ContactPlanner._followed`
@@ -213,13 +211,10 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     def _Watch(self, context: Any) -> None:
         """Refuse singular points and drift at ends of steps: trial steps, which error control may
-        reject, may go anywhere. The last derivatives of a step tell whether to look for singular
-        points at its end.
-        """
-        scratch, t = self._scratches.own, context.get_time()
-        if not scratch.clearance[0] > NEARBY:
-            if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
-                refuse_singularity(self.system, *scratch.arguments)
+        reject, may go anywhere."""
+        t = context.get_time()
+        if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
+            refuse_singularity(self.system, *self._scratches.own.arguments)
         followed, port = self._followed(context), self._disturbance
         if followed[PLAN] and port is not None and port.HasValue(context):
             if port.Eval(context).any():

@@ -32,16 +32,15 @@ class Scratch:
     def __init__(self, system: SceneSystem):
         self._machine = functools.cache(functools.partial(SystemMachine, system))
         self.w_valid = (0.0, 0.0)
-        machine = SystemMachine(system, "derivatives", "guard", "clearance")
+        machine = SystemMachine(system, "derivatives", "guard")
         sizes = (1, len(system.x0), system.n_w, len(system.held0))
         self.arguments = np.split(machine.point, np.cumsum(sizes)[:-1])
         self.t, self.x, self.w, self.held = self.arguments
         self._given = machine.point
         self.x[:], self.held[:] = system.x0, system.held0
-        rates, guard, clearance = machine.parts
+        rates, guard = machine.parts
         self.written = self.t.data, self.x.data
         self.rates = machine.run, guard.data, rates
-        self.clearance = clearance.data
 
     def evaluate(self, *outputs: str) -> list[Array]:
         """Outputs of what is loaded; the next call overwrites them."""
