@@ -230,7 +230,7 @@ class Chains:
         half, unit = self._half[own], self.unit[own]
         part = (self.middle - q)[own] / half
         inwards = POSTURE * part / (half * np.maximum(1 - part**2, NEAR))  # stronger near limits
-        turn = cross(normal, self.pose(i).rotation() @ self._pads[i])
+        turn = np.cross(normal, self.pose(i).rotation() @ self._pads[i])
         return unit**2 * (inwards + ON_PAD * self.jacobian(i)[:3, own].T @ turn)
 
     # --- positions and velocities of joints for motions of the tips ------------------------------
@@ -339,7 +339,7 @@ class Chains:
         for i, own in enumerate(self.joints):
             at = self.touch(i, X_WO)
             x_F, arm, normal = at[ON_FINGER], rotation @ at[ON_OBJECT], rotation @ at[NORMAL]
-            v, J = V_WO[3:] + cross(w, arm), self.jacobian(i, x_F)[3:]
+            v, J = V_WO[3:] + np.cross(w, arm), self.jacobian(i, x_F)[3:]
             found[own] = self._nearest(i, J, v, pace * self.centring(i, q, normal))
             if np.linalg.norm(J @ found - v) > SLIPPING * pace * self.scene.object.size:
                 raise SceneError(
@@ -354,9 +354,3 @@ def way_to(goal: RigidTransform, X: RigidTransform) -> Array:
     """The rotation vector and the shift that lead from X to the goal, (6,), in the world."""
     turn = (goal.rotation() @ X.rotation().inverse()).ToAngleAxis()
     return np.append(turn.angle() * turn.axis(), goal.translation() - X.translation())
-
-
-def cross(a: Array, b: Array) -> Array:
-    """The cross product of two vectors, in a tenth of the time of numpy's."""
-    (x, y, z), (u, v, w) = a, b
-    return np.array((y * w - z * v, z * u - x * w, x * v - y * u))
