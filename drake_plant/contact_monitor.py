@@ -65,7 +65,6 @@ TOLERANCE = 1e-7
 MEASURED = {"slip": 2, "normal_force": 1, "tangential_force": 2, "state": 9, "contact_point": 3}
 """Numbers of each contact; the first three are those of the step that ended now."""
 COLUMNS = slices(MEASURED)
-NOTHING = np.zeros(3).data
 MOTION_INPUTS = {"X_WO": 12, "V_WO": 6, "X_WF": 12, "V_WF": 6, "point": 3, "force": 3, "torque": 3}
 """What Drake tells of a contact, in the world: motion of both bodies, the point C where the contact
 force on the finger acts, this force, and its torque about C."""
@@ -279,11 +278,6 @@ class ContactGauges:
         self._result = np.zeros((len(steps), sum(MEASURED.values())))
         x = self._motions.x
         self._acting = [*zip(x["point"], x["force"], x["torque"])]
-        rows: Any = self._motions.results, self._forces.points, self._forces.results, self._result
-        self._contacts = [
-            (probe, machine.run, *(row.data for row in (probe.seen, probe.found, *buffers)))
-            for probe, machine, *buffers in zip(self._probes, self._forces.machines, *rows)
-        ]
 
     def begin(self, X_W: Any, V_W: Any, obj: int, fingers: list[int]) -> None:
         """Set the motion of the bodies, from Drake's lists of all bodies, without any contact."""
@@ -318,8 +312,9 @@ class ContactGauges:
     def measure(self) -> Array:
         """Slip, normal force, tangential force in E2, state, contact point in O: (n, 17)."""
         self._motions.run()
-        for contact, (pressing, share, k_share) in zip(self._contacts, self._sums):
-            probe, calc_forces, seen, found, moved, inputs, forces, result = contact
+        for i, (pressing, share, k_share) in enumerate(self._sums):
+            probe, moved, result = self._probes[i], self._motions.results[i], self._result[i]
+            seen, found, inputs = probe.seen, probe.found, self._forces.points[i]
             # slip and forces, where the step that ended now began
             seen[:18], seen[18], seen[19] = moved[THEN], share, 0.0  # slip follows from the twist
             if pressing:
@@ -328,8 +323,8 @@ class ContactGauges:
                 probe.find(probe.approach())
             inputs[:21], inputs[21:30] = found[ON_OBJECT.start : GAP + 1], moved[LOAD]
             inputs[30], result[:2] = k_share, found[SLIP]
-            calc_forces()
-            result[2:5] = forces if pressing else NOTHING
+            self._forces.machines[i].run()
+            result[2:5] = self._forces.results[i] if pressing else 0.0
             # where the contact is now, with the slip of the step as known
             seen[:18], seen[18], seen[19], seen[20:] = moved[NOW], 0.0, 1.0, result[:2]
             probe.find(found[ON_OBJECT], found[ON_FINGER])
