@@ -57,7 +57,7 @@ from contact_system.theory.symbols import per_structure
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import MOTIONS, ScenePlant, declare_plant_inputs
 from .pressing import require_alike
-from .scratch import FingerTables, PerThread, named, slices
+from .scratch import FingerTables, named, per_thread, slices
 
 TINY = sys.float_info.min
 TOLERANCE = 1e-7
@@ -173,7 +173,7 @@ class ContactMonitor(LeafSystem):
                 self._pairs[of_object.get_value(), of_finger.get_value()] = i, True
                 self._pairs[of_finger.get_value(), of_object.get_value()] = i, False
         step = plant.time_step() if plant.has_sampled_output_ports() else 0.0
-        self._gauges = PerThread(lambda: ContactGauges(scene, step), {})
+        self._gauges = per_thread(lambda: ContactGauges(scene, step))
         inputs = declare_plant_inputs(self, plant, "contact_results", *MOTIONS)
         self._results, self._poses, self._velocities = inputs
         self._noise = self.DeclareVectorInputPort("noise", 9 * n)
@@ -206,7 +206,7 @@ class ContactMonitor(LeafSystem):
 
     def _CalcMeasured(self, context: Context) -> Array:
         X_W, V_W = self._poses.Eval(context), self._velocities.Eval(context)
-        gauges = self._gauges.own
+        gauges = self._gauges()
         gauges.begin(X_W, V_W, self._object, self._fingers)
         self._AddForces(gauges, self._results.Eval(context))
         return gauges.measure()

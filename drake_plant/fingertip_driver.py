@@ -26,7 +26,7 @@ from .balance import needed_wrench
 from .lifetimes import NO_DICTIONARY, weakly
 from .planner_base import MOTION
 from .plant import MOTIONS, ScenePlant, declare_plant_inputs, gravity_on
-from .scratch import FingerTables, PerThread
+from .scratch import FingerTables, per_thread
 from .tip_law import FREE_TIP, STIFF, driving_law, tip_constants
 
 ROUNDING = 1e-9
@@ -97,7 +97,7 @@ class FingertipDriver(LeafSystem):
         self.finger_indices = [int(body.index()) for body in fingers]
         _check(scene_plant)
         constants = [tip_constants(body, scene_plant, hold=0.0) for body in fingers]
-        self._laws = PerThread(partial(FingerTables, driving_law(), FREE_TIP, constants), {})
+        self._laws = per_thread(partial(FingerTables, driving_law(), FREE_TIP, constants))
         n = len(fingers)
         self._motion = self.DeclareVectorInputPort("motion", sum(MOTION.values()) * n)
         self._poses, self._velocities = declare_plant_inputs(self, plant, *MOTIONS)
@@ -119,7 +119,7 @@ class FingertipDriver(LeafSystem):
 
     def _CalcForces(self, context: Context, output: Value) -> None:
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
-        o, law = self.object_index, self._laws.own
+        o, law = self.object_index, self._laws()
         x, n, given = law.x, len(self.finger_indices), self._accelerating.Eval(context)
         law.put(X, V, o, self.finger_indices)
         x["A_WO"][:] = given[o].get_coeffs() if self._discrete else self._A_WO(X[o], V[o], given)

@@ -25,7 +25,7 @@ from .hand_kinematics import Chains, moving_joints, way_to
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs
 from .reorientation import Reorientation
-from .scratch import FingerTables, PerThread
+from .scratch import FingerTables, per_thread
 from .tip_law import HELD, holding_law, tip_constants
 
 POSTURE = 30.0  # 1/s, omega
@@ -85,8 +85,8 @@ class HandDriver(LeafSystem):
         constants = [tip_constants(x, scene_plant, hold=1.0) for x in scene_plant.finger_bodies]
         # without the mass of tips, which the law's wrench moves and carries
         links = partial(Chains, plan.hand, plan.rolling, 0.0, plan.config.gravity)
-        self._chains = PerThread(links, {})
-        self._laws = PerThread(partial(FingerTables, holding_law(), HELD, constants), {})
+        self._chains = per_thread(links)
+        self._laws = per_thread(partial(FingerTables, holding_law(), HELD, constants))
         self._state = self.DeclareVectorInputPort("state", plant.num_multibody_states())
         (self._poses,) = declare_plant_inputs(self, plant, "body_poses")
         self._sliding = self.DeclareVectorInputPort("sliding", 3 * len(constants))
@@ -114,7 +114,7 @@ class HandDriver(LeafSystem):
 
     def _CalcLaw(self, context: Context) -> Array:
         """Torques that the joints exert, and those equivalent to pushes on the tips, (2, nq)."""
-        chains, laws, x = self._chains.own, self._laws.own, self._state.Eval(context)
+        chains, laws, x = self._chains(), self._laws(), self._state.Eval(context)
         q, v = x[self._at_q], x[self._sizes[0] :][self._at_v]
         time, (first, last) = context.get_time(), self.plan.t[[0, -1]]
         inside = min(max(time, first), last)

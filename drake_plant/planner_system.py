@@ -31,7 +31,7 @@ from .plan_check import (
 )
 from .planner_base import PlannerBase, scene_system
 from .scalars import evaluate_scalars
-from .scratch import PerThread, Scratch
+from .scratch import Scratch, per_thread
 
 AS_SCENE, AS_STATE, DISTURBED = 1.0, 2.0, 3.0
 """Contacts follow the scene's plan, the plan from a state, or none, as the port disturbs them."""
@@ -194,7 +194,7 @@ class ContactPlanner(_Convertible, LeafSystem):
             tolerance=tolerance,
         )
         self._Declare(system, system.x0, period)
-        self._scratches = PerThread(partial(Scratch, system), {})
+        self._scratch = per_thread(partial(Scratch, system))
         self._exact = functools.lru_cache(maxsize=16)(partial(exact_plan, scene))
         size = HEADER + 9 * len(scene.contacts)
         _, self._followed = array_entry(self._CalcFollowed, (size,), {self.nothing_ticket()})
@@ -204,7 +204,7 @@ class ContactPlanner(_Convertible, LeafSystem):
     def Evaluate(self, context: Any, *outputs: str) -> Array:
         found = super().Evaluate(context, *outputs)
         if not np.isfinite(found).all():
-            refuse(self.system, *self._scratches.own.arguments)
+            refuse(self.system, *self._scratch().arguments)
         return found
 
     # --- what is refused at the end of a step -----------------------------------------------------
@@ -214,7 +214,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         reject, may go anywhere."""
         t = context.get_time()
         if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
-            refuse_singularity(self.system, *self._scratches.own.arguments)
+            refuse_singularity(self.system, *self._scratch().arguments)
         followed, port = self._followed(context), self._disturbance
         if followed[PLAN] and port is not None and port.HasValue(context):
             if port.Eval(context).any():
@@ -277,7 +277,7 @@ class ContactPlanner(_Convertible, LeafSystem):
     # --- what Drake calls ----------------------------------------------------------------------
 
     def _Load(self, context: Any, outputs: tuple[str, ...]) -> Scratch:
-        scratch = self._scratches.own
+        scratch = self._scratch()
         time, x = scratch.written
         time[0] = t = context.get_time()
         x[:] = context.get_continuous_state_vector().value()
@@ -300,7 +300,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         run, guard, rate = self._Load(context, ("derivatives",)).rates
         run()
         if not guard[0] > 0.0:
-            refuse(self.system, *self._scratches.own.arguments)
+            refuse(self.system, *self._scratch().arguments)
         derivatives.SetFromVector(rate)
 
     def _Restart(self, context: Any, state: Any) -> None:
@@ -311,7 +311,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         chosen = np.isfinite(rows).all(axis=1) & moves
         if not chosen.any():
             return
-        planned, scratch = self._Parts(context, "state")[0].reshape(-1, 9), self._scratches.own
+        planned, scratch = self._Parts(context, "state")[0].reshape(-1, 9), self._scratch()
         rows = on_branch(system.scene, np.where(chosen[:, None], rows, planned), planned)
         x, held = system.from_states(context.get_time(), rows, scratch.w, chosen)
         if limit is not None:

@@ -100,15 +100,11 @@ def named(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
     return every, SimpleNamespace(**found)
 
 
-class PerThread(threading.local):
-    """``own`` is the object that was made for the calling thread.
+def per_thread(make: Callable[[], Any]) -> Callable[[], Any]:
+    """A function that gives the object that was made for the calling thread.
 
-    Threads may share a System, with a Context each. ``made`` keeps the objects by ``get_ident()``,
-    as ``threading.local`` takes a thread that Drake started for a new one at every call.
+    Threads may share a System, with a Context each. A ``threading.local`` would take a thread that
+    Drake started for a new one at every call.
     """
-
-    def __init__(self, make: Callable[[], Any], made: dict[int, Any]):
-        thread = threading.get_ident()
-        if thread not in made:
-            made[thread] = make()
-        self.own = made[thread]
+    made = functools.cache(lambda thread: make())
+    return lambda: made(threading.get_ident())
