@@ -305,10 +305,8 @@ def refined(
 def edges_of(triangles: Triangles) -> tuple[Triangles, Triangles]:
     """Edges (n, 2), and the numbers (m, 3) of each triangle's edges, from corners 01, 12, 20."""
     pairs = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1), axis=-1)
-    flat = pairs.reshape(-1, 2)
-    code = flat[:, 0] * (flat.max() + 1) + flat[:, 1]
-    _, first, number = np.unique(code, return_index=True, return_inverse=True)
-    return flat[first], number.reshape(triangles.shape)
+    edges, number = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
+    return edges, number.reshape(triangles.shape)
 
 
 def outward(points: Array, normals: Array, triangles: Triangles) -> Triangles:
