@@ -112,14 +112,14 @@ class SceneSystem:
         turns = {stretch.start for i in range(n) for stretch in scene.way(i)[1:]}
         self.corners = frozenset(turns.union(*map(self._rests, range(n))))
         self.edges = tuple(sorted({*scene.window_edges, *self.corners}))
-        self.state_slices = _consecutive(sum(form.sizes) for form in self.forms)
-        self.held_slices = _consecutive(
+        self.state_slices = consecutive(sum(form.sizes) for form in self.forms)
+        self.held_slices = consecutive(
             form.n_held + bool(contact.legs) * (1 + form.n_profile)
             for form, contact in zip(self.forms, scene.contacts)
         )
         law = (scene.gain.value, *scene.profile.coefficients)
         numbers = [law, *((*surface.parameters, surface.size) for surface in scene.surfaces)]
-        self._number_slices = _consecutive(map(len, numbers))
+        self._number_slices = consecutive(map(len, numbers))
         self.parameters = np.concatenate(numbers)
         self.x0, self.held0 = self.place(0.0, [c.start() for c in scene.contacts])
         self._functions: dict[tuple[str, ...], ca.Function] = {}
@@ -434,7 +434,8 @@ def _sign(profile: list[ca.SX], t: ca.SX) -> ca.SX:
     return ca.copysign(1, polynomial(profile, t) + rounding)
 
 
-def _consecutive(sizes: Iterable[int]) -> list[slice]:
+def consecutive(sizes: Iterable[int]) -> list[slice]:
+    """The slices of parts of these sizes that follow each other."""
     ends = np.cumsum([0, *sizes]).tolist()
     return [slice(a, b) for a, b in zip(ends, ends[1:])]
 

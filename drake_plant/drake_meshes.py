@@ -114,7 +114,7 @@ def _apexes(points: Array, triangles: Triangles, inner: Array) -> Triangles:
 
 def rgba(colour: str, alpha: float = 1.0) -> Rgba:
     """Drake's colour of "#rrggbb"."""
-    return Rgba(*(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)), alpha)
+    return Rgba(*(x / 255 for x in bytes.fromhex(colour[1:])), alpha)
 
 
 def painted(domain: Domain, colour: Rgba) -> list[tuple[Mesh, Rgba]]:

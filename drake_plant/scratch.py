@@ -13,7 +13,7 @@ import numpy as np
 from contact_system import SceneSystem
 from contact_system.checks import Array
 from contact_system.engine.binding import Machine
-from contact_system.system import SystemMachine
+from contact_system.system import SystemMachine, consecutive
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 
@@ -34,7 +34,7 @@ class Scratch:
         self.w_valid = (0.0, 0.0)
         machine = SystemMachine(system, "derivatives", "guard")
         sizes = (1, len(system.x0), system.n_w, len(system.held0))
-        self.arguments = np.split(machine.point, np.cumsum(sizes)[:-1])
+        self.arguments = [machine.point[part] for part in consecutive(sizes)]
         self.t, self.x, self.w, self.held = self.arguments
         self._given = machine.point
         self.x[:], self.held[:] = system.x0, system.held0
@@ -82,8 +82,7 @@ class FingerTables:
 
 def slices(sizes: dict[str, int]) -> dict[str, slice]:
     """The columns of named parts that follow each other in a row; sizes: how many each part has."""
-    ends = np.cumsum([*sizes.values()]).tolist()
-    return dict(zip(sizes, map(slice, [0, *ends], ends)))
+    return dict(zip(sizes, consecutive(sizes.values())))
 
 
 def named(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
