@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -98,13 +98,10 @@ class SimulationResult:
             if path.suffix == ".csv":
                 self._write_csv(file)
                 return
-            logs: dict[str, Any] = {
-                f"{kind}_{name}": values
-                for kind, table in (("planned", self.planned), ("measured", self.measured))
-                for name, values in table.items()
-            }
-            attributes = ((field.name, getattr(self, field.name)) for field in fields(self))
-            logs |= {name: x for name, x in attributes if isinstance(x, np.ndarray)}
+            logs: dict[str, Any] = {}
+            for kind in ("planned", "measured"):
+                logs |= {f"{kind}_{name}": x for name, x in getattr(self, kind).items()}
+            logs |= {name: x for name, x in vars(self).items() if isinstance(x, np.ndarray)}
             settings = {key: x for key, x in asdict(self.config).items() if x is not None}
             scene = scene_to_toml(self.scene.replace(drake=settings))
             np.savez_compressed(file, scene=np.array(scene), **logs)
