@@ -213,10 +213,10 @@ def _export(builder: DiagramBuilder, parts: ScenePlant, *systems: LeafSystem) ->
     """Export outputs; one whose name an earlier system has exported gets the prefix measured_."""
     taken: set[str] = set()
     for system in systems:
-        names = [system.get_output_port(i).get_name() for i in range(system.num_output_ports())]
-        for name in names:
-            builder.ExportOutput(system.GetOutputPort(name), "measured_" * (name in taken) + name)
-        taken.update(names)
+        for port in map(system.get_output_port, range(system.num_output_ports())):
+            name = port.get_name()
+            builder.ExportOutput(port, "measured_" * (name in taken) + name)
+            taken.add(name)
     plant, instance = parts.plant, parts.object_body.model_instance()
     builder.ExportOutput(plant.get_state_output_port(), "plant_state")
     builder.ExportOutput(plant.get_state_output_port(instance), "object_state")
