@@ -5,7 +5,7 @@ from __future__ import annotations
 import bisect
 import functools
 import math
-from functools import partial
+from functools import partial, partialmethod
 from typing import Any
 
 import numpy as np
@@ -46,16 +46,13 @@ class _Convertible(PlannerBase):
 
     __slots__ = NO_DICTIONARY
 
-    def ToAutoDiffXd(self) -> Any:
-        return self._Converted(AutoDiffXd)
-
-    def ToSymbolic(self) -> Any:
-        return self._Converted(Expression)
-
     def _Converted(self, T: type) -> Any:
         made = _convert(T, self)
         made._HandlePostConstructionScalarConversion[self.T](self)
         return made
+
+    ToAutoDiffXd = partialmethod(_Converted, AutoDiffXd)
+    ToSymbolic = partialmethod(_Converted, Expression)
 
 
 # --- floats ---------------------------------------------------------------------------------------
