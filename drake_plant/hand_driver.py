@@ -76,7 +76,7 @@ class HandDriver(LeafSystem):
         self._object = int(scene_plant.object_body.index())
         self._sizes = plant.num_positions(), plant.num_velocities()
         joints = moving_joints(plant)
-        self._at_q = [joint.position_start() for joint in joints]
+        self.at_q = [joint.position_start() for joint in joints]
         self._at_v = [joint.velocity_start() for joint in joints]
         self._object_v = scene_plant.object_body.floating_velocities_start_in_v()
         self._motion = CubicHermiteSpline(plan.t, plan.q, plan.v)
@@ -103,7 +103,7 @@ class HandDriver(LeafSystem):
     def _Begin(self, context: Context) -> None:
         """Refuse a later time with joints at the start; SetDefaultContext leaves the time alone."""
         time, (first, last) = context.get_time(), self.plan.t[[0, -1]]
-        q, start = self._state.Eval(context)[self._at_q], self.plan.q[0]
+        q, start = self._state.Eval(context)[self.at_q], self.plan.q[0]
         off = np.abs(self._motion(np.clip(time, first, last)) - start).max()
         if off > AWAY and (q == start).all():
             raise SceneError(
@@ -115,7 +115,7 @@ class HandDriver(LeafSystem):
     def _CalcLaw(self, context: Context) -> Array:
         """Torques that the joints exert, and those equivalent to pushes on the tips, (2, nq)."""
         chains, laws, x = self._chains(), self._laws(), self._state.Eval(context)
-        q, v = x[self._at_q], x[self._sizes[0] :][self._at_v]
+        q, v = x[self.at_q], x[self._sizes[0] :][self._at_v]
         time, (first, last) = context.get_time(), self.plan.t[[0, -1]]
         inside = min(max(time, first), last)
         q_d, v_d, a_d = (self._motion(inside, k) for k in range(3))

@@ -26,7 +26,6 @@ from contact_system.writing import writing
 from .balance import friction_used
 from .config import StationConfig, checked
 from .contact_monitor import COLUMNS
-from .hand_kinematics import moving_joints
 from .planner_base import EARLY, PORTS
 from .plant import ScenePlant
 from .recording import Recording
@@ -212,9 +211,8 @@ def simulate_hand(
     run = Run(plan.scene, partial(build_hand, plan), recording)
     driver, plant = run.station.GetSubsystemByName("driver"), run.parts.plant
     control, physics = (system.GetMyContextFromRoot(run.root) for system in (driver, plant))
-    joints = [joint.position_start() for joint in moving_joints(plant)]
     logged: Logged = {
-        "q": lambda: plant.GetPositions(physics)[joints],
+        "q": lambda: plant.GetPositions(physics)[driver.at_q],
         "torque": partial(driver.GetOutputPort("torque").Eval, control),
     }
     t, logs, measured = run.advance(duration, progress, logged)
