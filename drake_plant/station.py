@@ -31,8 +31,6 @@ from .plant import MOTIONS, AddScenePlant, ScenePlant, turning_angle
 from .pressing import contact_depth, depth_between, require_alike, rolling_scene
 from .reorientation import Reorientation
 
-SYSTEMS = "planner", "driver", "plant"
-
 
 def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
     """A Diagram of planner, plant, driver and monitor of a scene.
@@ -301,14 +299,15 @@ def SetInitialState(station: Diagram, context: Context) -> None:
 
 
 def _systems(station: Diagram) -> list[Any]:
-    """The station's systems of the names `SYSTEMS`."""
-    if not isinstance(station, Diagram) or not all(map(station.HasSubsystemNamed, SYSTEMS)):
+    """The station's planner, driver and plant."""
+    names = "planner", "driver", "plant"
+    if not isinstance(station, Diagram) or not all(map(station.HasSubsystemNamed, names)):
         raise SceneError(
             f"station = {station!r}: give what BuildStation made, or a Diagram of your own whose "
             "ContactPlanner, FingertipDriver and MultibodyPlant are named 'planner', 'driver' and "
             "'plant'; of a Diagram that contains it give the station, and the Diagram's context"
         )
-    return [station.GetSubsystemByName(name) for name in SYSTEMS]
+    return [*map(station.GetSubsystemByName, names)]
 
 
 def _finger_poses(
