@@ -61,12 +61,14 @@ def plot(
         _draw_curves(left.add_axes((0.02, 0.18, 0.96, 0.68)), result, planned)
         _key(left.add_axes((0.05, 0.02, 0.9, 0.15)), result)
         panels: Sequence[Any] = HAND_PANELS if isinstance(result, HandResult) else PANELS
-        for k, draw in enumerate(panels):
-            axes = right.add_axes((0.12, 0.785 - 0.24 * k, 0.84, 0.175))
-            draw(axes, result)
+        place = {"left": 0.12, "right": 0.96, "bottom": 0.065, "top": 0.96, "hspace": 0.065 / 0.175}
+        axes = right.subplots(len(panels), sharex=True, gridspec_kw=place)
+        axes[-1].set_xlabel("time [s]")
+        for ax, draw in zip(axes, panels):
+            draw(ax, result)
             if opened is not None and draw in (_draw_slip, _draw_distance):
-                draw(axes, opened, closed=False)
-            _finish(axes, result, planned, last=k == len(panels) - 1)
+                draw(ax, opened, closed=False)
+            _finish(ax, result, planned)
 
 
 # --- over time ---------------------------------------------------------------------------------
@@ -170,7 +172,7 @@ def _draw_rippling(ax: Any, t: Array, values: Array, wanted: Array, top: float) 
     ax.set_ylim(0.0, top or None)
 
 
-def _finish(ax: Any, result: SimulationResult, planned: Plan, last: bool) -> None:
+def _finish(ax: Any, result: SimulationResult, planned: Plan) -> None:
     ax.set_xlim(result.t[0], result.t[-1])
     ax.grid(axis="y", color="#e4e7eb", linewidth=0.8)
     ax.set_axisbelow(True)
@@ -178,10 +180,6 @@ def _finish(ax: Any, result: SimulationResult, planned: Plan, last: bool) -> Non
         shade_windows(ax, planned)
     for push in result.config.pushes:
         ax.axvspan(push.start, push.stop, color=DISTURBED, alpha=0.3, linewidth=0)
-    if last:
-        ax.set_xlabel("time [s]")
-    else:
-        ax.set_xticklabels([])
 
 
 # --- on the object -----------------------------------------------------------------------------
