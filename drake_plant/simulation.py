@@ -26,14 +26,13 @@ from contact_system.writing import writing
 from .balance import friction_used
 from .config import StationConfig, checked
 from .contact_monitor import COLUMNS
-from .planner_base import EARLY, PORTS
+from .planner_base import EARLY
 from .plant import ScenePlant
 from .recording import Recording
 from .reorientation import Reorientation, plan_reorientation
-from .scratch import slices
 from .station import SetInitialState, build, build_hand
 
-PLANNED = slices({name: PORTS[name] for name in ("state", "slip", "contact_point")})
+PLANNED = ("state", "slip", "contact_point")
 BALANCED = ("normal_force", "friction_used")
 NEAR = 1e-6  # part of a period by which rounding may let a step end before it
 LOG_PERIOD = 2e-3  # s, of rows that simulate logs, unless steps are longer
@@ -180,19 +179,18 @@ def simulate(
     # the meshes of a longer simulation have to reach as far as its contacts go
     whole = scene if duration <= scene.duration else scene.replace(duration=duration)
     run = Run(scene, partial(build, whole, config, until=duration), recording)
-    SetInitialState(run.station, run.root)
-    planner = run.station.GetSubsystemByName("planner")
-    planning = planner.GetMyContextFromRoot(run.root)
-    logged: Logged = {"planned": partial(planner.Evaluate, planning, *PLANNED)}
-    for name in BALANCED if config.balances else ():
-        logged[name] = partial(run.station.GetOutputPort(f"planned_{name}").Eval, run.root)
+    station, root = run.station, run.root
+    SetInitialState(station, root)
+    names = [*PLANNED, *(f"planned_{name}" for name in BALANCED if config.balances)]
+    logged: Logged = {name: partial(station.GetOutputPort(name).Eval, root) for name in names}
     t, logs, measured = run.advance(duration, progress, logged)
-    planned = {name: logs["planned"][:, :, columns] for name, columns in PLANNED.items()}
+    planned = {name: logs[name].reshape(len(t), len(scene.contacts), -1) for name in PLANNED}
     planned["contact_point"] = planned["contact_point"][:, :, 3:]
     for name, constant in zip(BALANCED, (config.normal_force, 0.0)):
-        planned[name] = logs.get(name, np.full_like(measured["normal_force"], constant))
+        unbalanced = np.full_like(measured["normal_force"], constant)
+        planned[name] = logs.get(f"planned_{name}", unbalanced)
     if config.restarts:
-        first = plan(planner.system.scene)
+        first = plan(station.GetSubsystemByName("planner").system.scene)
         planned["first_contact_point"] = first.points(t)[:, :, 1]
     result = SimulationResult(scene, config, t, planned, measured, logs["pose"], *run.times)
     run.film(result)
