@@ -70,7 +70,6 @@ from .timing import Job, interleaved
 RUNS = 200  # of the sweep
 SCENES = ("D1", "D2", "D3")
 MODELS = ("hydroelastic", "point")
-RECOVERY = {"D1": 0.2, "D2": 0.1, "D3": 1.0}
 PUSHED, AFTER = 0.2, 0.5  # [s] when a push begins, and how long it is followed after its end
 SPEED_TIME = 0.5  # [s] simulated in a run of the speed comparison
 SCHEMES_TIME = 0.1  # [s] simulated under every scheme
@@ -193,8 +192,9 @@ def rolling(full: bool) -> Iterator[Bar]:
 
 def recovery(full: bool) -> Iterator[Bar]:
     """Time until slip is rejected, against what the paper reports."""
-    for model, (name, limit) in itertools.product(MODELS, RECOVERY.items()):
-        yield Bar(f"{name} {model}: recovery", limit, worst(name, model)["recovery"], "s")
+    for model, name in itertools.product(MODELS, SCENES):
+        found = worst(name, model)
+        yield Bar(f"{name} {model}: recovery", found["reported"], found["recovery"], "s")
 
 
 def _pushed(size: float, time: float, across: bool, model: str, closed: bool) -> dict[str, float]:
