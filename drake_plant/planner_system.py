@@ -33,9 +33,7 @@ from .planner_base import PlannerBase, scene_system
 from .scalars import evaluate_scalars
 from .scratch import Scratch, per_thread
 
-AS_SCENE, AS_STATE, DISTURBED = 1.0, 2.0, 3.0
-"""Contacts follow the scene's plan, the plan from a state, or none, as the port disturbs them."""
-PLAN, SINCE, BEGAN, DUE, HEADER = range(5)  # places in `ContactPlanner._followed`
+SINCE, BEGAN, DUE, HEADER = range(4)  # places in `ContactPlanner._followed`
 RESTING = 1e-3
 """A contact up to this part of its greatest sigma counts as at rest."""
 
@@ -213,12 +211,11 @@ class ContactPlanner(_Convertible, LeafSystem):
         if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
             refuse_singularity(self.system, *self._scratch().arguments)
         followed, port = self._followed(context), self._disturbance
-        if followed[PLAN] and port is not None and port.HasValue(context):
+        if port is not None and port.HasValue(context):
             if port.Eval(context).any():
-                followed[PLAN] = DISTURBED
-                return
-            if followed[PLAN] == DISTURBED:
-                followed[BEGAN] = followed[DUE] = t
+                followed[DUE] = math.inf
+            elif followed[DUE] == math.inf:
+                followed[[BEGAN, DUE]] = t
                 self._Follow(context, self._Parts(context, "state")[0])
         if t < followed[DUE]:
             return
@@ -229,9 +226,10 @@ class ContactPlanner(_Convertible, LeafSystem):
             refuse_drift(self.system.scene, plan, t, points, self._tolerance)
 
     def _CalcFollowed(self, context: Any) -> Array:
-        """Which plan contacts follow (`AS_SCENE`, ...; 0: no simulation has begun), and since when;
-        when comparing began, and when it is due next; the state in which that plan starts."""
-        return np.zeros(HEADER + 9 * len(self.system.scene.contacts))
+        """Which plan contacts follow: since when; when comparing with it began, and is due next,
+        inf before a simulation and while the port disturbs contacts; the state in which that plan
+        starts, inf if it is the scene's plan."""
+        return np.full(HEADER + 9 * len(self.system.scene.contacts), math.inf)
 
     def _Begin(self, context: Any) -> None:
         """Start to compare contacts with the plan from the state that the Context has."""
@@ -251,23 +249,20 @@ class ContactPlanner(_Convertible, LeafSystem):
                 "time by SceneSystem.from_states, or use a PlanSource"
             )
         self._followed(context)[[BEGAN, DUE]] = t
-        state = None if t == 0.0 and as_at_0 else self._Parts(context, "state")[0]
+        state = math.inf if t == 0.0 and as_at_0 else self._Parts(context, "state")[0]
         self._Follow(context, state)
 
-    def _Follow(self, context: Any, state: Array | None) -> None:
-        """Compare from now on with the plan from this state, or with that of the scene."""
+    def _Follow(self, context: Any, state: Array | float) -> None:
+        """Compare from now on with the plan from this state, or, if inf, with that of the scene."""
         followed = self._followed(context)
-        kind = AS_SCENE if state is None else AS_STATE
-        followed[[PLAN, SINCE]] = kind, context.get_time()
-        if state is not None:
-            followed[HEADER:] = state
+        followed[SINCE], followed[HEADER:] = context.get_time(), state
 
     def _Exact(self, context: Any) -> Plan | None:
         """The plan that contacts follow; None while there is none, or where it does not exist."""
         followed, t = self._followed(context), context.get_time()
-        if followed[PLAN] not in (AS_SCENE, AS_STATE):  # not initialized, or disturbed
+        if followed[DUE] == math.inf:
             return None
-        state = followed[HEADER:].tobytes() if followed[PLAN] == AS_STATE else b""
+        state = b"" if followed[HEADER] == math.inf else followed[HEADER:].tobytes()
         plan = self._exact(float(followed[SINCE]), state, max(t, self.system.scene.duration))
         return plan if plan is not None and plan.start <= t <= plan.end else None
 
