@@ -297,18 +297,15 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     def _Restart(self, context: Any, state: Any) -> None:
         """Take over the measured states of the contacts that are to restart."""
-        system, limit = self.system, self._distance
+        system, limit, t = self.system, self._distance, context.get_time()
         rows = self._measured.Eval(context).reshape(-1, 9)
-        moves = system.scene.speeds(context.get_time()) > RESTING * self._fastest
+        moves = system.scene.speeds(t) > RESTING * self._fastest
         chosen = np.isfinite(rows).all(axis=1) & moves
-        if not chosen.any():
-            return
         planned, scratch = self._Parts(context, "state")[0].reshape(-1, 9), self._scratch()
         rows = on_branch(system.scene, np.where(chosen[:, None], rows, planned), planned)
-        x, held = system.from_states(context.get_time(), rows, scratch.w, chosen)
+        x, held = system.from_states(t, rows, scratch.w, chosen)
         if limit is not None:
-            now = context.get_time(), x, scratch.w, held
-            there = system.evaluate("contact_point", *now)
+            there = system.evaluate("contact_point", t, x, scratch.w, held)
             apart = there - self._Parts(context, "contact_point")[0]
             chosen &= np.linalg.norm(apart.reshape(-1, 6)[:, 3:], axis=1) > limit
         if not chosen.any():
@@ -320,7 +317,7 @@ class ContactPlanner(_Convertible, LeafSystem):
             scratch.x[states], scratch.held[kept] = x[states], held[kept]
         follow = scratch.evaluate("state")[0].reshape(-1, 9)
         if plan is not None:
-            follow[~chosen] = plan.states(context.get_time())[0][~chosen]
+            follow[~chosen] = plan.states(t)[0][~chosen]
         self._Follow(context, follow.ravel())
         state.get_mutable_continuous_state().SetFromVector(scratch.x)
         restarts = state.get_mutable_discrete_state(self._restarts)
