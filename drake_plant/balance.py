@@ -30,7 +30,7 @@ from .config import StationConfig
 from .hand_kinematics import way_to
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import MOTIONS, ScenePlant, declare_plant_inputs, gravity_on
-from .scratch import slices
+from .tables import slices
 
 MARGIN = 0.8
 """The part of a friction cone that is used: with facets and feedback less than 90 % is measured."""

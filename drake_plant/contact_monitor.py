@@ -57,7 +57,7 @@ from contact_system.theory.symbols import per_structure
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import MOTIONS, ScenePlant, declare_plant_inputs
 from .pressing import require_alike
-from .scratch import FingerTables, named, per_thread, slices
+from .tables import FingerTables, named, per_thread, slices
 
 TINY = sys.float_info.min
 TOLERANCE = 1e-7

@@ -26,7 +26,7 @@ from .balance import needed_wrench
 from .lifetimes import NO_DICTIONARY, weakly
 from .planner_base import MOTION
 from .plant import MOTIONS, ScenePlant, declare_plant_inputs, gravity_on
-from .scratch import FingerTables, per_thread
+from .tables import FingerTables, per_thread
 from .tip_law import FREE_TIP, STIFF, driving_law, tip_constants
 
 ROUNDING = 1e-9

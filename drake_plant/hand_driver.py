@@ -25,7 +25,7 @@ from .hand_kinematics import Chains, moving_joints, way_to
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs
 from .reorientation import Reorientation
-from .scratch import FingerTables, per_thread
+from .tables import FingerTables, per_thread
 from .tip_law import HELD, holding_law, tip_constants
 
 POSTURE = 30.0  # 1/s, omega

@@ -31,7 +31,7 @@ from .plan_check import (
 )
 from .planner_base import PlannerBase, scene_system
 from .scalars import evaluate_scalars
-from .scratch import Scratch, per_thread
+from .tables import Scratch, per_thread
 
 SINCE, BEGAN, DUE, HEADER = range(4)  # places in `ContactPlanner._followed`
 RESTING = 1e-3

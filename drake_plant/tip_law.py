@@ -30,7 +30,7 @@ from contact_system.theory.symbols import per_structure
 from .config import GAINS
 from .planner_base import MOTION
 from .plant import ScenePlant, gravity_on
-from .scratch import named, slices
+from .tables import named, slices
 
 SHARE, STIFF = 0.4, 0.1
 """Greatest d = c h/m of an explicit damper c, and s = k h^2/m of an explicit spring k, for a mass m

@@ -1,4 +1,4 @@
-"""Memory in which systems evaluate tables of instructions, a set for each thread."""
+"""Tables of instructions that systems evaluate, each thread in memory of its own."""
 
 from __future__ import annotations
 
