@@ -42,7 +42,6 @@ from typing import Any
 
 import numpy as np
 from pydrake.geometry import ContactSurface, GeometryId
-from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from contact_system import Plane, Scene, Surface
@@ -204,18 +203,13 @@ class ContactMonitor(LeafSystem):
             found[i] = _slip(scene.contacts[i].finger, scene.object, states[i])
         return np.nan_to_num(found)  # no feedback at a pole
 
-    def _CalcMeasured(self, context: Context) -> Array:
-        X_W, V_W = self._poses.Eval(context), self._velocities.Eval(context)
-        gauges = self._gauges()
-        gauges.begin(X_W, V_W, self._object, self._fingers)
-        self._AddForces(gauges, self._results.Eval(context))
-        return gauges.measure()
-
     def _Pair(self, first: GeometryId, second: GeometryId) -> tuple[int | None, bool]:
         return self._pairs.get((first.get_value(), second.get_value()), (None, False))
 
-    def _AddForces(self, gauges: ContactGauges, results: ContactResults) -> None:
-        """Give the gauges all patches and point pairs between fingers and object."""
+    def _CalcMeasured(self, context: Context) -> Array:
+        results, gauges = self._results.Eval(context), self._gauges()
+        X_W, V_W = self._poses.Eval(context), self._velocities.Eval(context)
+        gauges.begin(X_W, V_W, self._object, self._fingers)
         for k in range(results.num_hydroelastic_contacts()):
             info = results.hydroelastic_contact_info(k)
             patch = info.contact_surface()
@@ -235,6 +229,7 @@ class ContactMonitor(LeafSystem):
                 off = math.dist(pair.p_WCa if first else pair.p_WCb, p_WC)
                 share = 1.0 if self._at_finger[i] else min(1.0, off / max(pair.depth, TINY))
                 gauges.add(i, share, 0.0, p_WC, force if first else -force, 0.0)
+        return gauges.measure()
 
 
 def _slip(finger: Surface, obj: Surface, state: Array) -> Array:
