@@ -20,7 +20,10 @@ from .archive import target, write_fmu
 from .description import xml_text
 from .export import export_fmu
 
-_SSD, _SSC = (f"http://ssp-standard.org/SSP1/SystemStructure{x}" for x in ("Description", "Common"))
+_NAMESPACES = {
+    "xmlns:ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",
+    "xmlns:ssd": "http://ssp-standard.org/SSP1/SystemStructureDescription",
+}
 
 
 def export_ssp(
@@ -93,8 +96,8 @@ def _structure(
     """The text of SystemStructure.ssd (SSP 1.0, section 5), of models' files and descriptions."""
     pairs = "pairs, of an output and an input"
     of_kind(Iterable, connections, "connections", pairs, ContactSystemError)
-    connectors = {name: _new("Connectors") for name in ("", *models)}
-    wires, kinds = _new("Connections"), dict[tuple[str, str], str]()
+    connectors = {name: ET.Element("ssd:Connectors") for name in ("", *models)}
+    wires, kinds = ET.Element("ssd:Connections"), dict[tuple[str, str], str]()
     for pair in connections:
         ends = items_of(pair)
         if len(ends) != 2 or not all(isinstance(end, str) for end in ends):
@@ -113,26 +116,25 @@ def _structure(
                     f"connections: {pair!r}: {variable!r} is connected already, as an {before}"
                 )
             if not before:  # an enumeration would have to be defined again: no type
-                connector = _new("Connector", name=variable, kind=kind)
+                said = {"name": variable, "kind": kind}
+                connector = ET.SubElement(connectors[model], "ssd:Connector", said)
                 if (of_type := declared or types[0]) != "Enumeration":
-                    ET.SubElement(connector, f"{{{_SSC}}}{of_type}")
-                connectors[model].append(connector)
+                    ET.SubElement(connector, f"ssc:{of_type}")
             kinds[model, variable] = kind
             line |= {f"{side}Element": model} if model else {}
             line[f"{side}Connector"] = variable
-        wires.append(_new("Connection", **line))
-    ET.register_namespace("ssd", _SSD)
-    ET.register_namespace("ssc", _SSC)
-    elements = _new("Elements")
+        ET.SubElement(wires, "ssd:Connection", line)
+    elements = ET.Element("ssd:Elements")
     for name, (source, _) in models.items():
-        described = {"name": name, "type": "application/x-fmu-sharedlibrary", "source": source}
-        elements.append(_new("Component", *filter(len, [connectors[name]]), **described))
-    parts = [part for part in (connectors[""], elements, wires) if len(part)]  # none may be empty
-    root = _new("SystemStructureDescription", version="1.0", name="planners")
-    root.append(_new("System", *parts, name="planners"))
+        said = {"name": name, "type": "application/x-fmu-sharedlibrary", "source": source}
+        ET.SubElement(elements, "ssd:Component", said).extend(filter(len, [connectors[name]]))
+    said = {**_NAMESPACES, "version": "1.0", "name": "planners"}
+    root = ET.Element("ssd:SystemStructureDescription", said)
+    system = ET.SubElement(root, "ssd:System", name="planners")
+    system.extend(part for part in (connectors[""], elements, wires) if len(part))  # none empty
     stops = [getattr(d.defaultExperiment, "stopTime", None) for _, d in models.values()]
     stop = max((float(t) for t in stops if t), default=1.0)
-    root.append(_new("DefaultExperiment", startTime="0", stopTime=repr(stop)))
+    ET.SubElement(root, "ssd:DefaultExperiment", startTime="0", stopTime=repr(stop))
     return xml_text(root)
 
 
@@ -150,9 +152,3 @@ def _place(
         others = "" if near else f", which has {', '.join(variables) or 'none'}"
         raise ContactSystemError(f"connections: '{whole}' is no {kind} of '{model}'{others}{near}")
     return model, variable, variables[variable]
-
-
-def _new(tag: str, *parts: ET.Element, **attributes: str) -> ET.Element:
-    element = ET.Element(f"{{{_SSD}}}{tag}", attributes)
-    element.extend(parts)
-    return element
