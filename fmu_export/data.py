@@ -14,7 +14,8 @@ from contact_system import __version__
 from contact_system.contact_sensor import probes_of
 from contact_system.engine.binding import N_TABLES, SURFACES, Sensor
 from contact_system.planning.motion import Buffer
-from contact_system.surfaces import Ellipsoid, Surface, Torus
+from contact_system.surfaces import Surface
+from contact_system.surfaces.base import OfLengths
 
 from .equations import TOLERANCE, equations, frame_size, measured
 from .variables import Table
@@ -128,10 +129,8 @@ def _contact(table: Table, i: int, data: _Data) -> list[int]:
 def _orders(surface: Surface, at: int) -> list[tuple[int, int]]:
     """Pairs of references of parameters, of which the first must stay greater than the second: else
     the surface would be of another kind."""
-    count, numbers = range(len(surface.parameters)), surface.parameters
-    if not isinstance(surface, (Ellipsoid, Torus)):
-        return []
-    return [(at + i, at + j) for i in count for j in count if numbers[i] > numbers[j]]
+    lengths = list(enumerate(surface.parameters if isinstance(surface, OfLengths) else (), at))
+    return [(i, j) for i, greater in lengths for j, less in lengths if greater > less]
 
 
 def _surface(surface: Surface, data: _Data) -> list[Any]:
