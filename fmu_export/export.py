@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from contact_system.checks import flag, of_kind
+from contact_system.checks import of_kind
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
@@ -68,7 +68,7 @@ def export_fmu(
         )
     of_kind((Callable, type(None)), progress, "progress", "a function of a text, or None")
     tell = progress or (lambda step: None)
-    table = variable_table(scene, flag(arrays, "arrays"), measured)
+    table = variable_table(scene, arrays, measured)
     data, token = scene_data(table, fmi_version, *interfaces)
     text = description.model_description(table, token, fmi_version, interfaces)
     name = description.model_identifier(scene)

@@ -26,7 +26,7 @@ from fmpy.model_description import read_model_description
 
 from contact_system.checks import flag, of_kind
 from contact_system.engine.binding import LIBRARY
-from contact_system.scene import Scene, require_scene
+from contact_system.scene import Scene
 
 from .data import scene_data
 from .description import check_choice, model_description, model_identifier
@@ -74,13 +74,12 @@ class _Slave:
     def __init__(
         self, scene: Scene, name: str = "", logger: Logger | None = None, **described: Any
     ):
-        require_scene(scene)
         remedy = "a function of a status, a category and a text, or None"
         of_kind((Callable, type(None)), logger, "logger", remedy)
+        table, identifier = variable_table(scene, **described), model_identifier(scene)
         self.scene, self._logger, self._said = scene, logger or _log, ""
         folder = Path(tempfile.mkdtemp(prefix="contact-system-"))
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        identifier, table = model_identifier(scene), variable_table(scene, **described)
         data, token = scene_data(table)
         text = model_description(table, token, self._version, ("CoSimulation",))
         (folder / "modelDescription.xml").write_text(text, "utf-8")

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from contact_system.caching import cached_property
-from contact_system.checks import one_of
+from contact_system.checks import flag, one_of
 from contact_system.errors import SceneError
 from contact_system.scene import Scene, require_scene
 from contact_system.surfaces import Quadric, Surface
@@ -156,7 +156,7 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
         # as at sigma = 1: at sigma = 0 slip may be left out, but importers may start elsewhere
         starts[-4:] = system.carried(scene.contacts[i].start(), 1.0)
         groups.append([*map(add, contact_groups(scene, i, starts, measured, speed)), len(rows)])
-    table = Table(scene, rows, first, groups, arrays, measured)
+    table = Table(scene, rows, first, groups, flag(arrays, "arrays"), measured)
     for i in range(len(groups)):
         _set_dependencies(table, i)
     _require_names(table)
