@@ -20,18 +20,18 @@ from contact_system.surfaces.base import OfLengths
 from .equations import TOLERANCE, equations, frame_size, measured
 from .variables import Table
 
-VERSION, HEADER = 20261208, 26
+VERSION = 20261209
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
 _SURFACE, _TABLE = f"{1 + 2 * N_TABLES}q4i2d", "8i3q"
 
 
 class _Data:
-    """Numbers of 8 bytes, with texts and instructions between them; a place is an index of these
-    numbers. A table that several contacts share is written once."""
+    """Numbers of 8 bytes, with texts and instructions between them, which follow the header; a
+    place is an index of these numbers. A table that several contacts share is written once."""
 
     def __init__(self) -> None:
         self.parts: list[bytes] = []
-        self.size = HEADER
+        self.size = 0
         self.tables: list[Any] = []
 
     def put(self, data: bytes) -> int:
@@ -106,10 +106,9 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
     ]
     known = repr((__version__, described, head)).encode(), *data.parts
     token = "{" + hashlib.sha256(b"".join(known)).hexdigest()[:32] + "}"
-    head.append(data.texts(token))
-    body = b"".join(data.parts)
-    begin = struct.pack(f"<{HEADER}q", VERSION, data.size, zlib.adler32(body), *head)
-    return begin + body, token
+    head += data.texts(token), data.size
+    checked = b"".join([struct.pack(f"<{len(head)}q", *head), *data.parts])
+    return struct.pack("<2q", VERSION, zlib.adler32(checked)) + checked, token
 
 
 def _contact(table: Table, i: int, data: _Data) -> list[int]:

@@ -13,7 +13,7 @@ static unsigned adler32(const void *data, size_t count) {
 
 /* What lies at a place of the data */
 static inline const void *data_at(const model_t *m, int64_t place) {
-  return (const int64_t *)m->head + place;
+  return (const int64_t *)(m->head + 1) + place;
 }
 
 /* Where a group of a contact's values begins, or for GROUPS where the last one ends: a reference */
@@ -107,8 +107,8 @@ static model_t *read_model(const char *resources, const char **wrong) {
            "unpacked to";
   if (!h) goto refused;
   *wrong = "resources/scene.bin is damaged, or of another version; export the FMU again";
-  if (8 * count <= sizeof *h || h->version != DATA_VERSION || h->size != (int64_t)count ||
-      h->checksum != (int64_t)adler32(h + 1, 8 * count - sizeof *h))
+  if (8 * count <= sizeof *h || h->version != DATA_VERSION ||
+      h->checksum != (int64_t)adler32(&h->registers, 8 * count - offsetof(head_t, registers)))
     goto refused;
   m->values = data_at(m, h->values.at), m->n_values = (long)h->values.count;
   m->contacts = data_at(m, h->contacts.at), m->n_contacts = (long)h->contacts.count;

@@ -1,8 +1,8 @@
 /* A scene as data: the file resources/scene.bin of an FMU, or scene.inc if an importer compiles it.
 
-   It consists of numbers of 8 bytes, with texts and instructions as bytes between them; a place is
-   an index of these numbers. `fmu_export/data.py` writes what is declared here, in this order; its
-   version is checked. */
+   It consists of a header, and of numbers of 8 bytes with texts and instructions as bytes between
+   them; a place is an index of these numbers. `fmu_export/data.py` writes what is declared here, in
+   this order; its version is checked. */
 #ifndef CONTACT_MODEL
 #define CONTACT_MODEL
 #include "engine.h"
@@ -18,7 +18,7 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_VERSION 20261208
+#define DATA_VERSION 20261209
 
 typedef struct {
   int64_t at, count;
@@ -26,8 +26,7 @@ typedef struct {
 
 typedef struct {
   int64_t version;    /* DATA_VERSION, raised with each change of this layout */
-  int64_t size;       /* numbers in all */
-  int64_t checksum;   /* of what follows the header, 32 bits */
+  int64_t checksum;   /* of all that follows, 32 bits */
   int64_t registers;  /* the most that a table has */
   int64_t names;      /* texts, one after the other, of all values */
   int64_t starts;     /* double, of all values */
@@ -43,6 +42,7 @@ typedef struct {
   section_t corners;  /* double: where legs of any contact begin, ascending */
   section_t orders;   /* int64_t[2], references: the first value stays greater than the second */
   int64_t token;      /* text */
+  int64_t size;       /* how many numbers follow */
 } head_t;
 
 typedef struct {
