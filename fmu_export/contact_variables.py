@@ -20,8 +20,8 @@ SMALL = 0.1
 XY, XYZ = (".x", ".y"), (".x", ".y", ".z")
 CELLS = tuple(f"[{a},{b}]" for a in (1, 2, 3) for b in (1, 2, 3))
 
-INPUT_GROUPS, STATE_GROUP, DERIVATIVES = 2, 2, 3
-"""How many of a contact's groups are inputs; indices of the states and of their derivatives."""
+STATES, DERIVATIVES = 2, 3
+"""Indices of the groups of states and of their derivatives; the groups before are inputs."""
 
 
 def contact_groups(

@@ -25,7 +25,7 @@ from contact_system.surfaces import Quadric, Surface
 from contact_system.surfaces.base import OfLengths
 from contact_system.system import SceneSystem
 
-from .contact_variables import DERIVATIVES, INPUT_GROUPS, STATE_GROUP, contact_groups
+from .contact_variables import DERIVATIVES, STATES, contact_groups
 from .equations import equations
 from .quantities import METRE, NONE, SECOND, Unit, Variable, array_of, chart_units, per_second
 
@@ -68,12 +68,12 @@ class Table:
     @cached_property
     def states(self) -> list[int]:
         """References of the continuous states."""
-        return [r for g in self.groups for r in range(g[STATE_GROUP], g[DERIVATIVES])]
+        return [r for g in self.groups for r in range(g[STATES], g[DERIVATIVES])]
 
     @cached_property
     def inputs(self) -> list[int]:
         """References of the inputs."""
-        return [r for g in self.groups for r in range(g[0], g[INPUT_GROUPS])]
+        return [r for g in self.groups for r in range(g[0], g[STATES])]
 
     @cached_property
     def start_values(self) -> np.ndarray:
@@ -89,7 +89,7 @@ class Table:
     def columns(self, i: int) -> list[int]:
         """References of the equations' inputs and constants; -1 for profiles of legs."""
         first, group, (finger, obj, _, n_profile) = self.first, self.groups[i], self.structure(i)
-        states, inputs = range(group[STATE_GROUP], group[DERIVATIVES]), range(group[0], group[1])
+        states, inputs = range(group[STATES], group[DERIVATIVES]), range(group[0], group[1])
         legs = self.scene.contacts[i].legs
         profile = [-1 if legs else first["profile"] + k for k in range(n_profile)]
         tip, body = (
@@ -247,6 +247,6 @@ def _set_dependencies(table: Table, i: int) -> None:
     for at, v in enumerate(table.rows[group[DERIVATIVES] : group[-1]]):
         v.known = known[at]
         if v.causality == "output":  # reading it takes up a new measurement
-            v.known += tuple(range(group[1], group[STATE_GROUP]))
+            v.known += tuple(range(group[1], group[STATES]))
         if v.reference < group[DERIVATIVES + 1]:
-            v.derivative = at + group[STATE_GROUP]
+            v.derivative = at + group[STATES]
