@@ -137,7 +137,7 @@ static status_t get_states(component_t *c, double *state, int rates) {
 /* ---- time ---- */
 
 static void set_time(component_t *c, double time) {
-  if (c->now->time == time && c->value[TIME_VALUE] == time) return;
+  if (c->now->time == time) return;
   c->now->time = c->value[TIME_VALUE] = time;
   if (c->now->stepping) c->now->acts_at = snapped(c, time);
   forget_values(c);
