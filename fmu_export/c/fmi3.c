@@ -163,16 +163,13 @@ OF_NOTHING(GetOutputDerivatives, STEPPING_ONLY(STEP | TERMINATED),
 EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool no_return, _Bool *event,
                             _Bool *terminate, _Bool *early, double *last_time) {
   BEGIN(STEP);
-  const double end = from + size, limit = c->now->limit;
   NEEDS(event && terminate && early && last_time);
   *event = *terminate = *early = 0, *last_time = c->now->time;
   if (check_step(c, from, size)) return FAILED;
-  /* where sigma ends, a step may end early too */
-  const int ends = c->early_return && !reached(limit, end) && !reached(c->now->time, limit);
-  const status_t s = step(c, ends ? limit : end);
+  const status_t s = step(c, from + size);
   *last_time = c->now->time;
-  *terminate = c->now->ended || (ends && !s && reached(c->now->time, limit));
-  *event = c->now->pending && !s, *early = !s && !reached(c->now->time, end);
+  *event = c->now->pending && !s, *early = !s && !reached(c->now->time, from + size);
+  *terminate = c->now->ended || (*early && reached(c->now->time, c->now->limit));
   return s;
 }
 

@@ -85,9 +85,8 @@ static inline int reached(double time, double edge) {
 
 static int past_end(const component_t *c) {
   const memory_t *now = c->now;
-  const double end = now->limit;
-  if (now->stepping || !(now->time > end) || reached(end, now->time)) return 0;
-  return now->ended || now->phase != CONTINUOUS || now->time > LOOK_AHEAD * end;
+  if (now->stepping || reached(now->limit, now->time)) return 0;
+  return now->ended || now->phase != CONTINUOUS || now->time > LOOK_AHEAD * now->limit;
 }
 
 /* ---- windows ---- */

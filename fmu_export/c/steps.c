@@ -80,20 +80,21 @@ static status_t start(component_t *c) {
 
 /* ---- steps ---- */
 
-/* Moves all contacts to a time, or to an edge before it if the importer wants that; or none. */
+/* Moves all contacts to a time, or to an edge or sigma's end before it if the importer allows that;
+   or none. */
 static status_t step(component_t *c, double target) {
   memory_t *now = c->now;
   const long n = c->model->n_contacts;
-  now->ended = target > now->limit && !reached(now->limit, target);
+  const int may_end = c->early_return && !reached(now->time, now->limit);
+  now->ended = !may_end && !reached(now->limit, target);
   if (now->ended) return report(c, DISCARD, "no step to t = %.9g s: " PAST_END, target, now->limit);
   if (now->pending) pass_edges(c);
   for (long i = 0; i < n; i++)
     if (pushed_at_rest(c, i)) return report(c, DISCARD, "no step to t = %.9g s: " AT_REST, target);
   const status_t s = settle(c, "step", target);
   if (s) return s;
-  const double next = next_edge(c);
-  const int early = c->uses_events && c->early_return && reached(target, next);
-  const double goal = early ? next : fmin(target, now->limit);
+  const double next = next_edge(c), end = fmin(target, now->limit);
+  const double goal = c->uses_events && c->early_return && reached(end, next) ? next : end;
   for (long i = 0; i < n; i++)
     if (plan_to(c, i, goal)) return refuse_motion(c, DISCARD, i, "step", target, NULL);
   set_time(c, goal);
