@@ -74,7 +74,7 @@ static const char *make_component(component_t *c, const char *resources) {
   c->registers = (double *)(c->surface_tangents + registers);
   memcpy(c->scene, m->scene, scene * sizeof *c->scene);
   c->scene[S_CONTACTS] = 1, c->scene[S_PANELS] = MOST_PANELS;
-  c->room = c->scene + scene;
+  c->scratch = c->scene + scene;
   c->now = &c->fmu_state->memory;
   c->value = (double *)(c->now + 1), c->segment = (segment_t *)(c->value + m->n_values);
   return NULL;

@@ -70,7 +70,7 @@ typedef struct {
   segment_t *segment;
   live_t *live;
   double *scene;                 /* the engine's buffer, of one contact at a time; behind it: */
-  double *room;                  /* scratch for windows and numbers, constants of tables, roots */
+  double *scratch;               /* for windows and numbers, constants of tables, roots */
   double (*tangents)[L];         /* derivatives of all values in L directions */
   double *registers;             /* of the table that is run */
   double (*system_tangents)[L];  /* of the registers of a contact's equations */

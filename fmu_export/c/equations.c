@@ -24,7 +24,7 @@ static double *load_system(component_t *c, long i, double (*tangents)[L]) {
   memcpy(x, values_of(c, i, OF_STATES), (size_t)n * sizeof *x);
   if (c->now->phase == INITIALIZATION) put_frames(c, i, x, tangents ? tangents + 1 : NULL);
   for (long j = 0, own = 0; j < t->n_const; j++)
-    c->room[j] = column[j] >= 0 ? c->value[column[j]] : own < leg.n ? leg.sigma[own++] : 0.0;
+    c->scratch[j] = column[j] >= 0 ? c->value[column[j]] : own < leg.n ? leg.sigma[own++] : 0.0;
   double *r = load_table(c, t);
   r[0] = c->now->time - leg.start;
   memcpy(r + 1, x, (size_t)n * sizeof *x);

@@ -49,7 +49,7 @@ static const char *find_measured(component_t *c, long i, const double **found) {
   const contact_t *k = c->model->contacts + i;
   const sensor_t *limit = data_at(c->model, c->model->head->sensor);
   const table_t *t = c->model->tables + k->sensor;
-  double *next = c->room, body[BODY_SIZE];
+  double *next = c->scratch, body[BODY_SIZE];
   for (int side = 0; side < 2; side++) put_body(c, i, side, &next, body), *next++ = body[B_SIZE];
   double *r = load_table(c, t), *x = r;
   const double *y = r + t->first_out;

@@ -428,17 +428,17 @@ static void update(component_t *c, BOOLEAN *terminate, BOOLEAN *values, BOOLEAN 
 }
 
 static status_t check_step(component_t *c, double from, double size) {
-  const double end = from + size, room = 1e-9 * fmax(1.0, fabs(end));
+  const double end = from + size, tolerance = 1e-9 * fmax(1.0, fabs(end));
   if (!(size > 0) || !(fabs(end) < 1e300) ||
       end < c->now->time) /* FMI 2 and 3 alike: h must be greater than 0 */
     REFUSE("a step of %g s from t = %g s is refused; give a positive length; to go back, set an "
            "FMU state",
            size, from);
-  if (fabs(from - c->now->time) > room)
+  if (fabs(from - c->now->time) > tolerance)
     REFUSE("the step begins at t = %.17g s, but the instance stands at t = %.17g s; give that "
            "time, or set an FMU state",
            from, c->now->time);
-  if (end > c->now->stop_time + room)
+  if (end > c->now->stop_time + tolerance)
     REFUSE("the step ends at t = %.17g s, after the stop time %.17g s; give a later one, or none",
            end, c->now->stop_time);
   return OK;

@@ -30,7 +30,7 @@ static void put_window(double **next, double slot, double start, double stop, co
 static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   const model_t *m = c->model;
   const leg_t leg = leg_of(c, i, 0); /* only this leg's profile can be set */
-  double *b = c->scene, *row = b + S_HEADER, *next = c->room;
+  double *b = c->scene, *row = b + S_HEADER, *next = c->scratch;
   plan_t *found;
   c->failure = (failure_t){.code = STUCK};
   if (!(s->end > s->begin)) return NULL;

@@ -44,11 +44,11 @@ static double clear_sigma(const leg_t *leg, double t) {
 }
 
 /* where the leg's sigma, or its rate for order 1, changes its sign between two times, ascending: in
-   c->room */
+   c->scratch */
 static long signs_of(const component_t *c, const leg_t *leg, int order, double from, double to) {
-  const double start = leg->start;
-  const long n = (long)sign_changes(leg->sigma, leg->n, order, from - start, to - start, c->room);
-  for (long k = 0; k < n; k++) c->room[k] += start;
+  const double a = from - leg->start, b = to - leg->start;
+  const long n = (long)sign_changes(leg->sigma, leg->n, order, a, b, c->scratch);
+  for (long k = 0; k < n; k++) c->scratch[k] += leg->start;
   return n;
 }
 
@@ -60,7 +60,7 @@ static void study_profiles(component_t *c) {
     const double begin = fmax(c->now->time, leg.start);
     const double far = begin + AGES;
     const long n = signs_of(c, &leg, 0, begin, far);
-    const double first = n ? c->room[0] : far;
+    const double first = n ? c->scratch[0] : far;
     const int ends = clear_sigma(&leg, 0.5 * (begin + first) - leg.start) < 0;
     if (ends || n) c->now->limit = fmin(c->now->limit, ends ? begin : first);
   }
@@ -116,7 +116,7 @@ static double next_edge(const component_t *c) {
     const leg_t leg = leg_of(c, i, leg_now(c, i));
     const long n = signs_of(c, &leg, 1, now->time, fmin(now->limit, now->time + AGES));
     for (long k = 0; k < n; k++)
-      if (!reached(now->time, c->room[k])) next = fmin(next, c->room[k]);
+      if (!reached(now->time, c->scratch[k])) next = fmin(next, c->scratch[k]);
   }
   return next;
 }

@@ -91,9 +91,9 @@ static void find_result_tangents(component_t *c, long i) {
   const table_t *t = system_of(c->model, i);
   const int64_t *column = data_at(c->model, c->model->contacts[i].columns);
   double (*results)[L] = c->tangents + at_of(c->model, i, OF_RATES);
-  const size_t room = (size_t)n * sizeof *results;
+  const size_t bytes = (size_t)n * sizeof *results;
   int any = 0;
-  memset(results, 0, room);
+  memset(results, 0, bytes);
   /* a leg's own numbers and literals have no tangents */
   memset(c->system_tangents, 0, (size_t)(t->first_lit + t->n_lit) * sizeof *c->system_tangents);
   for (long r = 0; r < t->n_in + t->n_const; r++)
@@ -105,7 +105,7 @@ static void find_result_tangents(component_t *c, long i) {
       c->engine->step_tangents(&(program_t){t->prologue, r}, c->system_tangents);
       c->engine->step_tangents(&(program_t){t->body, r}, c->system_tangents);
     });
-    memcpy(results, c->system_tangents + t->first_out, room);
+    memcpy(results, c->system_tangents + t->first_out, bytes);
   }
   const double most = past_end(c) ? -1.0 : rests(c, i) ? BEYOND_VALUES : HUGE_VAL;
   for (long j = 0; j < n; j++)

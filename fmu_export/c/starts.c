@@ -1,11 +1,11 @@
 /* Puts the frames at the start onto their surfaces, whatever values an importer has set. Tangents
    are carried along if derivatives are asked for. */
 
-/* Loads a table with constants that lie in c->room; returns its registers, which hold the point
+/* Loads a table with constants that lie in c->scratch; returns its registers, which hold the point
    first. */
 static double *load_table(component_t *c, const table_t *t) {
   double *r = c->registers;
-  memcpy(r + t->n_in, c->room, (size_t)t->n_const * sizeof *r);
+  memcpy(r + t->n_in, c->scratch, (size_t)t->n_const * sizeof *r);
   c->engine->load(t, r);
   return r;
 }
@@ -14,8 +14,8 @@ static double *load_table(component_t *c, const table_t *t) {
 static double *load_surface(component_t *c, long i, int side, const table_t *t, int derive) {
   const size_t n = n_parameters(c->model, i, side);
   const int64_t at = c->model->contacts[i].parameters[side];
-  c->room[0] = c->model->scene[(long)body_of(c->model, i, side)[B_NUMBERS]]; /* sign */
-  memcpy(c->room + 1, c->value + at, n * sizeof *c->value);
+  c->scratch[0] = c->model->scene[(long)body_of(c->model, i, side)[B_NUMBERS]]; /* sign */
+  memcpy(c->scratch + 1, c->value + at, n * sizeof *c->value);
   double *r = load_table(c, t);
   memset(c->surface_tangents, 0, (size_t)t->n_regs * sizeof *c->surface_tangents);
   if (derive) memcpy(c->surface_tangents + t->n_in + 1, c->tangents + at, n * sizeof *c->tangents);
