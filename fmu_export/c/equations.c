@@ -18,7 +18,7 @@ static double *load_system(component_t *c, long i, double (*tangents)[L]) {
   const model_t *m = c->model;
   const long n = states_of(m, i);
   const table_t *t = system_of(m, i);
-  const leg_t leg = leg_of(c, i, leg_now(c, i));
+  const leg_t leg = leg_now(c, i);
   const int64_t *column = (const int64_t *)data_at(m, m->contacts[i].columns) + t->n_in;
   double x[MOST_STATES];
   memcpy(x, values_of(c, i, OF_STATES), (size_t)n * sizeof *x);

@@ -26,15 +26,15 @@ static leg_t leg_of(const component_t *c, long i, long k) {
                  row + G_TURN, (long)row[G_PROFILE_SIZE]};
 }
 
-/* Which leg contact i is on at the time that values are of */
-static long leg_now(const component_t *c, long i) {
+/* The leg that contact i is on at the time that values are of */
+static leg_t leg_now(const component_t *c, long i) {
   long k = 0;
   while (k + 1 < n_legs(c->model, i) && leg_of(c, i, k + 1).start <= c->now->acts_at) k++;
-  return k;
+  return leg_of(c, i, k);
 }
 
 static double sigma_now(const component_t *c, long i) {
-  const leg_t leg = leg_of(c, i, leg_now(c, i));
+  const leg_t leg = leg_now(c, i);
   return horner(leg.sigma, leg.n, c->now->acts_at - leg.start);
 }
 
@@ -68,7 +68,7 @@ static void study_profiles(component_t *c) {
 
 /* whether sigma is zero but for rounding */
 static int rests(const component_t *c, long i) {
-  const leg_t leg = leg_of(c, i, leg_now(c, i));
+  const leg_t leg = leg_now(c, i);
   return clear_sigma(&leg, c->now->time - leg.start) <= 0;
 }
 
@@ -113,7 +113,7 @@ static double next_edge(const component_t *c) {
   if (now->stepping) return next;
   if (!reached(now->time, now->limit)) next = fmin(next, now->limit);
   for (long i = 0; i < c->model->n_contacts && cancels_growth(c->model); i++) {
-    const leg_t leg = leg_of(c, i, leg_now(c, i));
+    const leg_t leg = leg_now(c, i);
     const long n = signs_of(c, &leg, 1, now->time, fmin(now->limit, now->time + AGES));
     for (long k = 0; k < n; k++)
       if (!reached(now->time, c->scratch[k])) next = fmin(next, c->scratch[k]);
