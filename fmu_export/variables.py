@@ -101,12 +101,8 @@ class Table:
     @cached_property
     def joined(self) -> list[Variable]:
         """The variables with arrays instead of their elements."""
-        return [array_of([*elements]) for _, elements in _arrays(self.rows)]
-
-
-def _arrays(rows: list[Variable]) -> Iterator[tuple[str, Iterator[Variable]]]:
-    """Name and elements of each array, or scalar."""
-    return groupby(rows, key=lambda v: v.within[0] or v.name)
+        arrays = groupby(self.rows, key=lambda v: v.within[0] or v.name)
+        return [array_of([*elements]) for _, elements in arrays]
 
 
 MEASUREMENTS = ("nothing", "states", "pose")
@@ -168,8 +164,8 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
 
 def _require_names(table: Table) -> None:
     """Refuse two variables of one name, in FMI 3 or in FMI 2."""
-    for names in ([name for name, _ in _arrays(table.rows)], [v.name for v in table.rows]):
-        name, count = Counter(names).most_common(1)[0]
+    for variables in (table.joined, table.rows):
+        name, count = Counter(v.name for v in variables).most_common(1)[0]
         if count > 1:
             raise SceneError(
                 f"{table.scene.title}: two variables of the FMU would be called {name}; "
