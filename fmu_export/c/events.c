@@ -126,11 +126,11 @@ static const char *restart_at_measurement(component_t *c, long i, segment_t *s) 
   return restart_at_states(c, i, s, x, found + N_STATES);
 }
 
-/* Begins a new segment of each contact whose inputs, gain or measurement have changed. If that
-   fails, the log says that there is no `what` (values, or a step) to the target. */
-static status_t settle(component_t *c, const char *what, double target) {
+/* Begins a new segment of each contact whose inputs, gain or measurement have changed, where
+   results come from plans. target: of a step, or the present time. */
+static status_t settle(component_t *c, double target) {
   memory_t *now = c->now;
-  if (now->settled) return OK;
+  if (now->settled || FROM_STATES(now)) return OK;
   int any_pushed = 0;
   for (long i = 0; i < c->model->n_contacts; i++) {
     segment_t *s = c->segment + i;
@@ -151,9 +151,9 @@ static status_t settle(component_t *c, const char *what, double target) {
         const char *wrong;
         UNTRAPPED(wrong = restart_at_measurement(c, i, s));
         c->failure = (failure_t){.code = STUCK};
-        if (wrong) return refuse_motion(c, DISCARD, i, what, target, wrong);
+        if (wrong) return refuse_motion(c, DISCARD, i, target, wrong);
       } else if (plan_to(c, i, at) || restart_segment(c, c->live[i].plan, time_on(c, i), s)) {
-        return refuse_motion(c, DISCARD, i, what, target, NULL);
+        return refuse_motion(c, DISCARD, i, target, NULL);
       }
       end = at + lasted; /* when events are frequent, planning far ahead is waste */
     }

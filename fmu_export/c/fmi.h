@@ -282,7 +282,7 @@ static status_t products(component_t *c, int transposed, const unsigned unknowns
   for (size_t k = 0; k < n_knowns; k++)
     if (c->model->values[knowns[k]].kind == CALCULATED)
       REFUSE("%s is not a known; give inputs, states or parameters", name_of(c->model, knowns[k]));
-  const status_t s = FROM_STATES(c->now) ? OK : settle(c, "values", c->now->time);
+  const status_t s = settle(c, c->now->time);
   return s ? s : multiply(c, transposed, unknowns, n_unknowns, knowns, n_knowns, seed, value, n);
 }
 

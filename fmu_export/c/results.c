@@ -10,7 +10,7 @@ static status_t refresh(component_t *c, long i, int group) {
     if (s) return s;
   }
   if (!from_states && !k->plan && plan_to(c, i, c->now->time))
-    return refuse_motion(c, DISCARD, i, "values", c->now->time, NULL);
+    return refuse_motion(c, DISCARD, i, c->now->time, NULL);
   if (from_states || group == OF_RATES || group == OF_CONDITION) {
     compute_from_states(c, i, from_states ? OF_RATES : group, from_states ? GROUPS : group + 1);
   } else {
@@ -59,11 +59,10 @@ static status_t check_found(component_t *c, unsigned reference, const double *va
 
 static status_t get_values(component_t *c, unsigned reference, long count, double *value) {
   const long i = (long)c->model->values[reference].owner;
-  const int from_states = FROM_STATES(c->now);
   int group = OF_INPUTS;
   while (i >= 0 && (long)reference >= at_of(c->model, i, group + 1)) group++;
-  if (group >= (from_states ? OF_RATES : OF_STATES)) { /* other values are as they were set */
-    status_t s = from_states ? OK : settle(c, "values", c->now->time);
+  if (group >= (FROM_STATES(c->now) ? OF_RATES : OF_STATES)) { /* others are as they were set */
+    status_t s = settle(c, c->now->time);
     if (!s) s = refresh(c, i, group);
     if (s) return s;
   }

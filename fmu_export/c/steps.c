@@ -67,7 +67,7 @@ static status_t start(component_t *c) {
           "contact %ld cannot start: %s; change its start values or the parameters of the surface",
           i + 1, wrong);
     if (now->stepping && plan_to(c, i, now->time))
-      return refuse_motion(c, FAILED, i, "motion", now->time, NULL);
+      return refuse_motion(c, FAILED, i, now->time, NULL);
   }
   for (long i = 0; i < m->n_contacts; i++) {
     put_states(m, i, c->segment[i].row, values_of(c, i, OF_STATES));
@@ -91,12 +91,12 @@ static status_t step(component_t *c, double target) {
   if (now->pending) pass_edges(c);
   for (long i = 0; i < n; i++)
     if (pushed_at_rest(c, i)) return report(c, DISCARD, "no step to t = %.9g s: " AT_REST, target);
-  const status_t s = settle(c, "step", target);
+  const status_t s = settle(c, target);
   if (s) return s;
   const double next = next_edge(c), end = fmin(target, now->limit);
   const double goal = c->uses_events && c->early_return && reached(end, next) ? next : end;
   for (long i = 0; i < n; i++)
-    if (plan_to(c, i, goal)) return refuse_motion(c, DISCARD, i, "step", target, NULL);
+    if (plan_to(c, i, goal)) return refuse_motion(c, DISCARD, i, target, NULL);
   set_time(c, goal);
   if (!c->uses_events || !reached(goal, next)) return OK;
   const double edge = edge_at(c, goal, 0);
