@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from contact_system.scene import Contact, Scene
+from contact_system.scene import SLOTS, Contact, Scene
 from contact_system.surfaces import Surface
 from contact_system.theory.gain import LAWS
 
@@ -77,17 +77,14 @@ class _Contact:
         return [replace(v, name=v.name + axis, within=(v.name, shape)) for axis in axes] or [v]
 
     def inputs(self) -> list[Variable]:
-        found = []
-        finger, body = self.bodies
-        for (side, surface), quantity, power, to in (
-            (finger, "acceleration", 2, "second derivative"),
-            (body, "acceleration", 2, "second derivative"),
-            (body, "rate_offset", 1, "rate, not to the feedback,"),
-        ):
-            for axis, unit in zip("uv", chart_units(surface)):
+        found, bodies = [], dict(self.bodies)
+        for side, accelerates in SLOTS:
+            quantity = "acceleration" if accelerates else "rate_offset"
+            to = "second derivative" if accelerates else "rate, not to the feedback,"
+            for axis, unit in zip("uv", chart_units(bodies[side])):
                 text = f"Added to the {to} of {axis} of the {side}"
                 text += ", in addition to the scene's disturbance windows"
-                arguments = f"{side}.{quantity}.{axis}", (), per_second(unit, power), text
+                arguments = f"{side}.{quantity}.{axis}", (), per_second(unit, 1 + accelerates), text
                 found += self.rows(*arguments, causality="input", initial=None, start=(0.0,))
         return found
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from contact_system.contact_equations import Form, contact_function
 from contact_system.contact_sensor import measured_contact
+from contact_system.scene import SLOTS
 from contact_system.surfaces import TINY, Surface
 from contact_system.theory import symbols as ca
 from contact_system.theory.development import in_space
@@ -30,7 +31,6 @@ from contact_system.theory.lowering import Table
 from contact_system.theory.profile import polynomial
 from contact_system.theory.symbols import making_symbols, per_structure
 
-INPUTS = 6
 NEVER = 1e6  # s
 TOLERANCE = 1e-14
 """Of plans; with 1e-13, K4 ends with an error of 4e-14 of its size."""
@@ -50,7 +50,7 @@ def equations(finger: Surface, obj: Surface, law: str, n_profile: int) -> tuple[
     with making_symbols():
         forms = in_space(finger, True), in_space(obj, True)
         form = Form("frame", True, forms, law, n_profile, ())
-        t, x, w = ca.SX.sym("t"), ca.SX.sym("x", sum(form.sizes)), ca.SX.sym("w", INPUTS)
+        t, x, w = ca.SX.sym("t"), ca.SX.sym("x", sum(form.sizes)), ca.SX.sym("w", 2 * len(SLOTS))
         gain, profile = ca.SX.sym("gain"), ca.SX.sym("profile", n_profile)
         p1, p2 = (ca.SX.sym("p", len(s.parameters)) for s in (finger, obj))
         # past sigma's end the path rests: a solver may evaluate there within its last step

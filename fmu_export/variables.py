@@ -217,7 +217,7 @@ def _window_rows(scene: Scene) -> Iterator[Variable]:
     """Start, stop and components of each of the scene's disturbances."""
     for k, d in enumerate(scene.disturbances):
         surface = scene.contacts[int(d.contact)].finger if d.side == "finger" else scene.object
-        units = [per_second(unit, 2 if d.accelerates else 1) for unit in chart_units(surface)]
+        units = [per_second(unit, 1 + d.accelerates) for unit in chart_units(surface)]
         stem = f"disturbance[{k + 1}]."
         what = f"disturbance of contact {int(d.contact) + 1}, {d.kind}"
         yield _parameter(f"{stem}start", d.start, SECOND, f"Start of the {what}", minimum=0.0)
