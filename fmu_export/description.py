@@ -179,11 +179,11 @@ def _type_definitions(table: Table, fmi_version: str) -> ET.Element:
     used = {v.unit for v in table.rows}
     for unit in sorted(unit for unit in QUANTITIES if unit in used):
         name = QUANTITIES[unit]
-        said = {"quantity": name, **_units(unit)}
+        attributes = {"quantity": name, **_units(unit)}
         if fmi_version == "2.0":
-            ET.SubElement(ET.SubElement(element, "SimpleType", name=name), "Real", said)
+            ET.SubElement(ET.SubElement(element, "SimpleType", name=name), "Real", attributes)
         else:
-            ET.SubElement(element, "Float64Type", said, name=name)
+            ET.SubElement(element, "Float64Type", attributes, name=name)
     return element
 
 
@@ -255,13 +255,13 @@ def _structure(table: Table, fmi_version: str) -> ET.Element:
             parent = ET.SubElement(structure, name)
         for v in unknowns:
             found = sorted({owner[r] for r in allowed.intersection(v.known)})
-            said = {"dependencies": " ".join(map(str, found))}
-            said["dependenciesKind"] = " ".join(["dependent"] * len(found))
+            attributes = {"dependencies": " ".join(map(str, found))}
+            attributes["dependenciesKind"] = " ".join(["dependent"] * len(found))
             if fmi_version == "2.0":
                 # The index counts from 1, and leaves out time, reference 0: it is the reference.
-                ET.SubElement(parent, "Unknown", said, index=str(v.reference))
+                ET.SubElement(parent, "Unknown", attributes, index=str(v.reference))
             else:
-                ET.SubElement(parent, name, said, valueReference=str(v.reference))
+                ET.SubElement(parent, name, attributes, valueReference=str(v.reference))
     return structure
 
 
@@ -317,13 +317,13 @@ def terminals(table: Table) -> str:
         kind = "disturbance" if v.causality == "input" else "motion"
         kind = "measured" if name.startswith("measured.") else kind
         if (i, kind) not in made:
-            said = {"name": f"contact{i}_{kind}", "matchingRule": "bus"}
+            attributes = {"name": f"contact{i}_{kind}", "matchingRule": "bus"}
             named = table.scene.contacts[int(i) - 1].name or f"Contact {i}"
-            said["description"] = f"{named}: {kind}"
-            made[i, kind] = ET.SubElement(everything, "Terminal", said)
+            attributes["description"] = f"{named}: {kind}"
+            made[i, kind] = ET.SubElement(everything, "Terminal", attributes)
         member = re.sub(r"der\((.*)\)", r"\1_rate", name.removeprefix("measured."))
-        said = {"variableName": v.name, "memberName": member}
-        ET.SubElement(made[i, kind], "TerminalMemberVariable", said, variableKind="signal")
+        attributes = {"variableName": v.name, "memberName": member}
+        ET.SubElement(made[i, kind], "TerminalMemberVariable", attributes, variableKind="signal")
     return xml_text(root)
 
 

@@ -116,8 +116,8 @@ def _structure(
                     f"connections: {pair!r}: {variable!r} is connected already, as an {before}"
                 )
             if not before:  # an enumeration would have to be defined again: no type
-                said = {"name": variable, "kind": kind}
-                connector = ET.SubElement(connectors[model], "ssd:Connector", said)
+                attributes = {"name": variable, "kind": kind}
+                connector = ET.SubElement(connectors[model], "ssd:Connector", attributes)
                 if (of_type := declared or types[0]) != "Enumeration":
                     ET.SubElement(connector, f"ssc:{of_type}")
             kinds[model, variable] = kind
@@ -126,10 +126,10 @@ def _structure(
         ET.SubElement(wires, "ssd:Connection", line)
     elements = ET.Element("ssd:Elements")
     for name, (source, _) in models.items():
-        said = {"name": name, "type": "application/x-fmu-sharedlibrary", "source": source}
-        ET.SubElement(elements, "ssd:Component", said).extend(filter(len, [connectors[name]]))
-    said = {**_NAMESPACES, "version": "1.0", "name": "planners"}
-    root = ET.Element("ssd:SystemStructureDescription", said)
+        attributes = {"name": name, "type": "application/x-fmu-sharedlibrary", "source": source}
+        ET.SubElement(elements, "ssd:Component", attributes).extend(filter(len, [connectors[name]]))
+    attributes = {**_NAMESPACES, "version": "1.0", "name": "planners"}
+    root = ET.Element("ssd:SystemStructureDescription", attributes)
     system = ET.SubElement(root, "ssd:System", name="planners")
     system.extend(part for part in (connectors[""], elements, wires) if len(part))  # none empty
     stops = [getattr(d.defaultExperiment, "stopTime", None) for _, d in models.values()]
