@@ -47,12 +47,10 @@ static status_t refuse(component_t *c, unsigned reference) {
 
 /* Refuses the first of these values that does not exist. */
 static status_t check_found(component_t *c, unsigned reference, const double *value, long count) {
-  const long owner = (long)c->model->values[reference].owner;
   for (long i = 0; i < count; i++) {
-    if (islessequal(fabs(value[i]), BEYOND_VALUES)) continue;
     const unsigned r = reference + (unsigned)i;
-    if (!isfinite(value[i]) || (c->model->values[r].kind == CALCULATED && rests(c, owner)))
-      return refuse(c, r);
+    const double most = c->model->values[r].kind == CALCULATED ? BEYOND_VALUES : DBL_MAX;
+    if (!islessequal(fabs(value[i]), most)) return refuse(c, r);
   }
   return OK;
 }
@@ -106,10 +104,8 @@ static void find_result_tangents(component_t *c, long i) {
     });
     memcpy(results, c->system_tangents + t->first_out, bytes);
   }
-  const double most = past_end(c) ? -1.0 : rests(c, i) ? BEYOND_VALUES : HUGE_VAL;
-  for (long j = 0; j < n; j++)
-    for (int d = 0; d < L; d++)
-      if (isgreater(fabs(results[j][d]), most)) results[j][d] = NAN;
+  for (long j = 0; j < n && past_end(c); j++)
+    for (int d = 0; d < L; d++) results[j][d] = NAN;
 }
 
 /* Tangents of the results that are asked for, from those of the other values in c->tangents */
