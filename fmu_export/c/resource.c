@@ -20,7 +20,7 @@ static void path_of(const char *resources, char *path, size_t room) {
   if (uri && *from == '/' && from[1] && from[2] == ':') from++;
 #endif
   for (; *from && n + sizeof name < room; from++) {
-    const char byte[3] = {from[1], *from && from[1] ? from[2] : 0};
+    const char byte[3] = {from[1], from[1] ? from[2] : 0};
     const int coded =
         uri && *from == '%' && isxdigit((unsigned char)byte[0]) && isxdigit((unsigned char)byte[1]);
     path[n++] = coded ? (char)strtol(byte, NULL, 16) : *from;
