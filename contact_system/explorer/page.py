@@ -155,10 +155,13 @@ class Explorer:
         most = 4 * value or 100.0
         self.gain = self._slider(Slider("", self._parameter(), 0.0, most, value, (place,)))
         folders: dict[str, Any] = {}
+        self.idle: list[Any] = []  # folders of what a route to a goal leaves out
         for slider in sliders_of(scene):
             if slider.folder not in folders:
                 first = slider.folder in ("profile", "shapes")
                 folders[slider.folder] = gui.add_folder(slider.folder, expand_by_default=first)
+                if slider.places[0][0] in ("profile", "disturbances"):
+                    self.idle.append(folders[slider.folder])
             with folders[slider.folder]:
                 self._slider(slider)
         self._add_handlers()
@@ -235,6 +238,8 @@ class Explorer:
         self.shown = Sampled(plan(scene))
         with self.server.atomic():  # otherwise the browser may draw twice
             self.said.content, self.forget.disabled = text, not self.goals
+            for folder in self.idle:
+                folder.visible = not self.goals
             self._draw_shapes()
             self._draw()
 
