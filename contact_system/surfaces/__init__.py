@@ -2,15 +2,15 @@
 
 # ruff: noqa: F401
 
-from .base import LEAST_LENGTH, SINGULAR, Surface, run_in_space
-from .charts import TINY, TURN, Chart
-from .cylinder import Cylinder, RoundCylinderChart
-from .ellipsoid import Ellipsoid, JacobiChart, OblateChart, ProlateChart
-from .plane import FlatChart, Plane
+from .base import SINGULAR, Surface, run_in_space
+from .charts import TINY, TURN
+from .cylinder import Cylinder
+from .ellipsoid import Ellipsoid
+from .plane import Plane
 from .quadric import Quadric
-from .sphere import PolarChart, Sphere
-from .torus import Torus, TorusChart
-from .user import CentralChart, Formula, ImplicitSurface, ParametricSurface, UserSurface
+from .sphere import Sphere
+from .torus import Torus
+from .user import ImplicitSurface, ParametricSurface, UserSurface
 
 KINDS: dict[str, type[Surface]] = {
     name.removesuffix("Surface").lower(): found
