@@ -22,15 +22,12 @@ def overview(
     columns: int,
 ) -> None:
     """Write a picture with a panel for each title: curves by name, time over error."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
+    from matplotlib.figure import Figure
     from PIL import Image  # matplotlib needs it
 
     rows = math.ceil(len(panels) / columns)
-    given: dict[str, Any] = {"figsize": (3.1 * columns, 2.65 * rows + 0.8), "sharey": True}
-    figure, grid = pyplot.subplots(rows, columns, layout="constrained", squeeze=False, **given)
+    figure = Figure(figsize=(3.1 * columns, 2.65 * rows + 0.8), layout="constrained")
+    grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
     named: dict[str, Any] = {}
     for axes, (title, curves) in zip(grid.flat, panels.items()):
         for name, (errors, times) in curves.items():
@@ -46,7 +43,6 @@ def overview(
     place = {"loc": "outside upper center", "ncols": 4, "fontsize": "small"}
     figure.legend(named.values(), named.keys(), **place)
     figure.savefig(file, dpi=110)
-    pyplot.close(figure)
     with Image.open(file) as picture:  # a quarter of the size; median cut would mix colours
         few = picture.convert("RGB").quantize(64, Image.Quantize.FASTOCTREE)
     few.save(file, optimize=True)
@@ -58,15 +54,11 @@ COLOURS |= {"crash": "tab:orange", "hang": "tab:purple"}
 
 def outcomes(records: Sequence[Any], file: Path) -> None:
     """Draw how cases of stress ended, by family, and the errors of right ones over their bounds."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
+    from matplotlib.figure import Figure
 
     families = list(dict.fromkeys(record.family for record in records))[::-1]
-    figure, (left, right) = pyplot.subplots(
-        1, 2, figsize=(10, 4.2), layout="constrained", width_ratios=[3, 2]
-    )
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[3, 2])
     before = [0] * len(families)
     for outcome, colour in COLOURS.items():
         count = Counter(r.family for r in records if r.verdict.outcome == outcome)
@@ -82,4 +74,3 @@ def outcomes(records: Sequence[Any], file: Path) -> None:
     right.set_xlabel("error of right cases over its bound, log10")
     right.axvline(0, color="black", linewidth=0.8)
     figure.savefig(file, dpi=100)
-    pyplot.close(figure)
