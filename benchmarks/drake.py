@@ -89,10 +89,8 @@ TIMED, EVALUATIONS = 0.3, 900
 # --- the planner alone ---------------------------------------------------------------------------
 
 
-def simulator_of(
-    system: System, scheme: str, step: float, accuracy: float | None = None
-) -> Simulator:
-    """A Simulator with steps of equal length, or with error control."""
+def simulator_of(system: System, scheme: str, step: float, accuracy: float | None) -> Simulator:
+    """A Simulator with error control, or with steps of equal length for the accuracy None."""
     simulator = Simulator(system)
     control = {"use_error_control": accuracy is not None, "accuracy": accuracy or 1e-3}
     config = SimulatorConfig(integration_scheme=scheme, max_step_size=step, **control)
@@ -113,7 +111,7 @@ class Empty(LeafSystem):
 
 
 def _job(system: LeafSystem) -> Job:
-    make = functools.partial(simulator_of, system, "runge_kutta3", 1e-3)
+    make = functools.partial(simulator_of, system, "runge_kutta3", 1e-3, None)
     return Job(lambda simulator: simulator.AdvanceTo(TIMED), make)
 
 

@@ -196,21 +196,11 @@ def _ellipsoid_metric(surface: cs.Ellipsoid, m: Any, u: Any, v: Any, du: Any, dv
 
 
 def geodesic_scene(
-    surface: cs.Surface,
-    at: tuple[float, float],
-    direction: tuple[float, float],
-    length: float,
-    finger_at: tuple[float, float] = (math.pi / 2, 0.0),
+    surface: cs.Surface, at: tuple[float, float], direction: tuple[float, float], length: float
 ) -> cs.Scene:
     """A sphere rolls at 1 m/s; the object's contact curve is the geodesic."""
     x, y = direction
-    contact = cs.Contact(
-        finger=cs.Sphere(0.04),
-        object_at=at,
-        finger_at=finger_at,
-        finger_velocity=(x, -y),
-        object_velocity=(x, y),
-    )
+    contact = cs.Contact(cs.Sphere(0.04), at, finger_velocity=(x, -y), object_velocity=(x, y))
     return cs.Scene(object=surface, contacts=[contact], profile=cs.Profile([1.0]), duration=length)
 
 
@@ -237,7 +227,7 @@ def _geodesic(name: str, record: dict[str, Any]) -> Problem:
         "chart": Ode(on_chart, chart, pieces, of_chart),
         "space": Ode(in_space, space, pieces, lambda x: x[:, None, :3]),
     }
-    make = partial(geodesic_scene, surface, at, velocity, record["duration"], (1.5, 0.2))
+    make = partial(geodesic_scene, surface, at, velocity, record["duration"])
     truth, sizes = record["points"][:, None, None], np.array([surface.size])
     return Problem(f"geodesic {name}", make, times, truth, sizes, forms)
 

@@ -65,7 +65,7 @@ class Explorer:
     Raises a ContactSystemError for a scene that cannot be planned, or a port that is in use.
     """
 
-    def __init__(self, scene: Scene, file: Path, port: int = 8080):
+    def __init__(self, scene: Scene, file: Path, port: int):
         self.base, self.file = scene, file
         self.moved: dict[Place, Any] = {}
         self.goals: dict[int, Goal] = {}
