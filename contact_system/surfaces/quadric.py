@@ -171,11 +171,8 @@ class Quadric(Surface):
 
     @property
     def injectivity(self) -> float:
-        values = np.linalg.eigvalsh(self.A)
-        if not values[0] > 0:
-            return 0.0
-        a, b, c = (1 / np.sqrt(values)).tolist()
-        return math.pi * b * c / a  # as of `Ellipsoid`
+        a, b, c = self._principal[2]  # 1/axis^2, those of ellipsoids ascending
+        return math.pi * math.sqrt(a / (b * c)) if min(a, b, c) > 0 else 0.0  # as of `Ellipsoid`
 
     def _axes(self, p: ca.SX) -> ca.SX:
         return ca.reshape(p[3:12], 3, 3).T
