@@ -27,7 +27,8 @@ PARTS = 8
 
 
 class Region(NamedTuple):
-    """A ball about a point of body 0 or 1: paths are sought in radius and allowed in widest."""
+    """A ball about a point of body 0 or 1; searches for paths keep to a radius a little less than
+    the widest that is allowed."""
 
     side: int
     centre: Array
@@ -50,8 +51,8 @@ class Aim(Steer):
         Point and contact frame.
     goal_psi : float
         psi at the goal.
-    pose : (4, 4) or None
-        The finger's pose at the goal, if its rotation is wanted.
+    pose : (4, 4)
+        The finger's pose at the goal; it counts if `has_rotation`.
     regions : list of Region
         Where the contact must stay.
     sizes : list of float
@@ -66,18 +67,20 @@ class Aim(Steer):
         self.bodies = self.contact.finger, scene.object
         self.psi, self.goal_psi = self.contact.angle, goal.angle or 0.0
         curvatures = self._place(goal)
-        start_pose, goal_pose = _pose(self.psi, self.start), _pose(self.goal_psi, self.goal)
-        self.pose = None if goal.angle is None else goal_pose
-        if goal.pose is not None:
+        start_pose, self.pose = _pose(self.psi, self.start), _pose(self.goal_psi, self.goal)
+        away = [math.dist(self.start[side][0], self.goal[side][0]) for side in self.sides]
+        self.is_pose = goal.pose is not None
+        self.has_rotation = self.is_pose or goal.angle is not None
+        if self.is_pose:
             self.pose = np.array(goal.pose)
+            away = [math.dist(start_pose[:3, 3], self.pose[:3, 3])]
+        self.rotation[:] = self.pose[:3, :3].ravel().tolist()
+        self.origin[:] = self.pose[:3, 3].tolist()
         self.regions = self._regions(goal)
         w: Any = self.contact.finger_velocity
         self.w_length, self.w_angle = math.hypot(*w), math.atan2(w[1], w[0])
         sizes = {body.size for body in self.bodies if not is_plane(body)} or {1.0}
         self.sizes = [min(sizes) if is_plane(body) else body.size for body in self.bodies]
-        away = [math.dist(self.start[side][0], self.goal[side][0]) for side in self.sides]
-        if goal.pose is not None:
-            away = [math.dist(start_pose[:3, 3], [row[3] for row in goal.pose[:3]])]
         self.far = max(away) / self.w_length
         widths = [region.widest for region in self.regions]
         unit = min([self._turning_length(*curvatures), *widths]) / self.w_length
@@ -85,10 +88,6 @@ class Aim(Steer):
         self.size = min(self.sizes)  # with a greater one places would weigh too little
         self.longest = (1 - 1e-10) * (longest or 0.0)  # paths keep to it within 1e-12 or so
         self.parts = PARTS if self.regions else 1
-        self.has_rotation, self.is_pose = self.pose is not None, goal.pose is not None
-        if self.pose is not None:
-            self.rotation[:] = self.pose[:3, :3].ravel().tolist()
-            self.origin[:] = self.pose[:3, 3].tolist()
         self._followers: list[Follower] = []  # the engine points into them
         for side in (0, 1):
             self._set_body(side)
@@ -100,7 +99,7 @@ class Aim(Steer):
     @property
     def fewest(self) -> int:
         """Least number of legs with as many unknowns as equations."""
-        return (1 + (5 if self.pose is not None else 2 * len(self.sides))) // 2
+        return (1 + (5 if self.has_rotation else 2 * len(self.sides))) // 2
 
     def search(self, z: Array, tolerance: float, reached: float) -> tuple[Array, Array, Array]:
         """Gauss-Newton steps from paths z, (2 n, m), until two end within ``reached`` of the goal.
@@ -125,7 +124,7 @@ class Aim(Steer):
     def gap(self, points: Array, pose: Array) -> Array:
         """Contact points and pose minus those of the goal: one vector, in sizes and rad."""
         parts = [(points[side] - self.goal[side][0]) / self.sizes[side] for side in self.sides]
-        if self.pose is not None:
+        if self.has_rotation:
             parts.append((pose[:3, :3] - self.pose[:3, :3]).ravel())
             if self.is_pose:
                 parts.append((pose[:3, 3] - self.pose[:3, 3]) / max(self.sizes))

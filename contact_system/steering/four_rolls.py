@@ -23,7 +23,7 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
     """
     pairs = zip(aim.bodies, reversed(aim.bodies))
     kinds = [body.chart.great_circles and is_plane(other) for body, other in pairs]
-    if not any(kinds) or aim.pose is None or aim.is_pose:
+    if not any(kinds) or not aim.has_rotation or aim.is_pose:
         return None
     ball, plane = kinds.index(True), kinds.index(False)
     r, psi = aim.sizes[ball], aim.psi
