@@ -67,7 +67,7 @@ def make_formula(formula: Any, parameters: Any, letters: str) -> Formula:
     else:
         arguments, count = [ca.SX.sym("x", 3)], 1
     if isinstance(formula, Formula):
-        return _renumbered(formula, numbers, letters, arguments, count)
+        return _renumbered(formula, numbers, letters, count)
     p = ca.SX.sym("p", len(numbers))
     symbols = dict(zip(numbers, ca.vertsplit(p)))
     if callable(formula):
@@ -132,12 +132,9 @@ def _named(parameters: Any, letters: str) -> dict[str, float]:
     return dict(sorted(numbers.items()))
 
 
-def _renumbered(
-    formula: Formula, numbers: dict[str, float], letters: str, arguments: list[ca.SX], count: int
-) -> Formula:
+def _renumbered(formula: Formula, numbers: dict[str, float], letters: str, count: int) -> Formula:
     """Return the formula with other values; raise if it is not for this kind of surface."""
-    function = formula.function()
-    if (function.n_in(), function.numel_out(0)) != (1 + len(arguments), count):
+    if formula.function().numel_out(0) != count:
         raise SurfaceError(
             f"formula = {formula!r} is that of another kind of surface; give "
             f"one of {count} component{'s' * (count > 1)} in {', '.join(letters)}"
