@@ -80,10 +80,6 @@ def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
         raise ContactSystemError(
             f"formula {text:.40}... is nested too deeply; nest it less, or shorten its sums"
         ) from None
-    except ValueError as error:
-        if isinstance(error, ContactSystemError):
-            raise
-        raise ContactSystemError(f"formula {text!r}: not readable ({error})") from None
 
 
 @dataclass
