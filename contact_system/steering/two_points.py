@@ -109,7 +109,7 @@ def geodesic(surface: Surface, a: ArrayLike, b: ArrayLike) -> Geodesic:
         phi, s = (w[:, 0] for w in pairs.unrolled())
     else:
         phi, s = Search(pairs).shortest()
-    return pairs.geodesic(phi, s, pairs.shape)
+    return pairs.geodesic(phi, s)
 
 
 def geodesics(
@@ -154,7 +154,7 @@ def geodesics(
         phi, s = Search(pairs).several(most, longest)
     keep = s <= (math.inf if longest is None else longest)
     shortest = list(zip(phi[keep][:most], s[keep][:most]))
-    return [pairs.geodesic(np.array([phi]), np.array([s]), ()) for phi, s in shortest]
+    return [pairs.geodesic(np.array([phi]), np.array([s])) for phi, s in shortest]
 
 
 # --- pairs of points ------------------------------------------------------------------------------
@@ -195,15 +195,15 @@ class Pairs:
         first = np.cos(phi) * self.p[which].T + np.sin(phi) * self.q[which].T
         return np.vstack([self.x[which].T, first])
 
-    def geodesic(self, phi: Array, s: Array, shape: tuple[int, ...]) -> Geodesic:
+    def geodesic(self, phi: Array, s: Array) -> Geodesic:
         """The result for directions and lengths at a."""
         tangent = np.cos(phi)[:, None] * self.p + np.sin(phi)[:, None] * self.q
         direction = np.where(
             self.singular, math.nan, np.remainder(phi + math.pi, 2 * math.pi) - math.pi
         )
         start = self.start(np.arange(len(phi)), phi)
-        numbers = _shaped(s, shape), _shaped(direction, shape)
-        return Geodesic(self.surface, *numbers, tangent.reshape(*shape, 3), start)
+        numbers = _shaped(s, self.shape), _shaped(direction, self.shape)
+        return Geodesic(self.surface, *numbers, tangent.reshape(*self.shape, 3), start)
 
     def unrolled(self, most: int = 1) -> tuple[Array, Array]:
         """Directions and lengths of straight lines on the unrolled surface, (pairs, lines)."""
