@@ -35,6 +35,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import polynomial as poly
 from numpy.polynomial.legendre import leggauss
+from oracles.formulas import reflection
 
 import contact_system as cs
 
@@ -156,19 +157,21 @@ class Sample:
     x: tuple[Array, Array]  # contact points (n, 3)
     frame: tuple[Array, Array]  # (n, 3, 3)
     root: tuple[Array, Array]  # M of the chart (n, 2, 2)
-    rate: tuple[Array, Array]  # contact points' velocities in space (n, 3)
 
     def part(self, where: slice) -> Sample:
         """The sample at some of its times."""
-        pairs = (self.x, self.frame, self.root, self.rate)
-        own = ((a[where], b[where]) for a, b in pairs)
+        own = ((a[where], b[where]) for a, b in (self.x, self.frame, self.root))
         return Sample(self.t[where], self.states[where], *own)
 
     @functools.cached_property
     def turn(self) -> Array:
         """R_psi (n, 2, 2)."""
-        c, s = np.cos(self.states[:, 8]), np.sin(self.states[:, 8])
-        return np.moveaxis(np.array([[c, -s], [-s, -c]]), -1, 0)
+        return reflection(self.states[:, 8])
+
+    @functools.cached_property
+    def rate(self) -> list[Array]:
+        """Velocities of the contact points in space, (n, 3) each."""
+        return [self.space(k, self.plane(k)) for k in (0, 1)]
 
     def plane(self, k: int) -> Array:
         """M q' in the contact frame, (n, 2)."""
@@ -187,11 +190,9 @@ class Judge:
         self.bodies = (trial.finger, trial.object)
         self.meter, self.random = Meter(), np.random.default_rng(trial.seed)
         contact = self.scene.contacts[0]
-        c, s = math.cos(contact.angle), math.sin(contact.angle)
-        turn = np.array([[c, -s], [-s, -c]])
         given = contact.object_velocity
         self.w1 = np.array(contact.finger_velocity, dtype=float)
-        self.w2 = turn @ self.w1
+        self.w2 = reflection(contact.angle) @ self.w1
         start = {"rolling": self.w2, "rest": np.zeros(2)}
         self.v = self.w2 - (start[given] if isinstance(given, str) else np.array(given))
         self.sigma = np.array(self.scene.profile.coefficients)
@@ -256,10 +257,7 @@ class Judge:
         parts: list[tuple[Array, ...]] = []
         for k, body in enumerate(self.bodies):
             q = states[:, 4 * k : 4 * k + 2].T
-            frame, root = body.surface.frame(*q), body.surface.metric_root(*q)
-            plane = np.einsum("nij,nj->ni", root, states[:, 4 * k + 2 : 4 * k + 4])
-            rate = np.einsum("nij,nj->ni", frame[:, :, :2], plane)
-            parts.append((points[:, k], frame, root, rate))
+            parts.append((points[:, k], body.surface.frame(*q), body.surface.metric_root(*q)))
         return Sample(times, states, *zip(*parts)), gaps
 
     def _sigma(self, t: Array) -> Array:
