@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import numpy as np
 
 import contact_system as cs
+from contact_system.steering.geodesic import Pairs
 from contact_system.steering.shooting import Search
-from contact_system.steering.two_points import Pairs
 
 from .report import Bar, Sections
 

@@ -38,10 +38,10 @@ from .theory.gain import Contraction, Gain
 from .theory.profile import Profile
 
 if TYPE_CHECKING:
+    from .steering.geodesic import Geodesic, geodesic, geodesics
     from .steering.goal import Goal, Route
     from .steering.loop import Loop, loop
     from .steering.reach import reach
-    from .steering.two_points import Geodesic, geodesic, geodesics
     from .sweeping import Failure, Sweep, sweep
 
 __version__ = "0.1.0"

@@ -17,7 +17,7 @@ from ..surfaces import Surface
 from ..theory.development import in_space
 
 if TYPE_CHECKING:
-    from .two_points import Pairs
+    from .geodesic import Pairs
 
 Array = np.ndarray
 
