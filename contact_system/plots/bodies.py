@@ -51,7 +51,7 @@ def best_view(mesh: Mesh | None, curves: Sequence[Curve]) -> np.ndarray:
     points = np.concatenate([c.points[::20] for c in curves])
     starts = np.array([c.points[0] for c in curves])
     elevation, azimuth = np.meshgrid([28, 40, 60, -28], range(0, 360, 15), indexing="ij")
-    penalty = np.repeat([0.0, 0.06, 0.3, 0.15], azimuth.shape[1])
+    penalty = np.repeat([0.0, 0.06, 0.3, 0.15], azimuth.shape[1])  # of steep views, and from below
     e, a = np.radians(elevation).ravel(), np.radians(azimuth).ravel()
     toward = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], 1)
     right = np.stack([-np.sin(a), np.cos(a), 0 * a], 1)
