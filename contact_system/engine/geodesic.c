@@ -154,7 +154,7 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
       h *= fmax(ratio, 0.2);
       if (!shortest) continue;
       give_up(g, error, allowed);
-      h = first, fresh = 1;
+      h = first, fresh = 1, brief = 0; /* the other lanes begin anew */
       continue;
     }
     copy_rows(g->y, g->next, g->rows);
