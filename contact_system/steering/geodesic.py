@@ -131,7 +131,7 @@ def geodesics(
     Returns
     -------
     list of Geodesic
-        The shortest first.
+        The shortest first. Lines that come to a pole of a user's chart may be missing.
 
     Raises
     ------
