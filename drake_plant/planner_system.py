@@ -33,6 +33,8 @@ from .planner_base import PlannerBase, scene_system
 from .scalars import evaluate_scalars
 from .tables import Scratch, per_thread
 
+NEARBY = 10 * CLEARANCE
+"""Nearer than this to a chart's singularity, the end of each step is examined."""
 SINCE, BEGAN, DUE, HEADER = range(4)  # places in `ContactPlanner._followed`
 RESTING = 1e-3
 """A contact up to this part of its greatest sigma counts as at rest."""
@@ -206,10 +208,13 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     def _Watch(self, context: Any) -> None:
         """Refuse singular points and drift at ends of steps: trial steps, which error control may
-        reject, may go anywhere."""
-        t = context.get_time()
-        if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
-            refuse_singularity(self.system, *self._scratch().arguments)
+        reject, may go anywhere. The last derivatives of a step tell whether to look for singular
+        points at its end.
+        """
+        scratch, t = self._scratch(), context.get_time()
+        if not scratch.clearance[0] > NEARBY:
+            if not self._Parts(context, "clearance")[0][0] > CLEARANCE:
+                refuse_singularity(self.system, *scratch.arguments)
         followed, port = self._followed(context), self._disturbance
         if port is not None and port.HasValue(context):
             if port.Eval(context).any():

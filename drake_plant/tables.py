@@ -32,15 +32,16 @@ class Scratch:
     def __init__(self, system: SceneSystem):
         self._machine = functools.cache(functools.partial(SystemMachine, system))
         self.w_valid = (0.0, 0.0)
-        machine = SystemMachine(system, "derivatives", "guard")
+        machine = SystemMachine(system, "derivatives", "guard", "clearance")
         sizes = (1, len(system.x0), system.n_w, len(system.held0))
         self.arguments = [machine.point[part] for part in consecutive(sizes)]
         self.t, self.x, self.w, self.held = self.arguments
         self._given = machine.point
         self.x[:], self.held[:] = system.x0, system.held0
-        rates, guard = machine.parts
+        rates, guard, clearance = machine.parts
         self.written = self.t.data, self.x.data
         self.rates = machine.run, guard.data, rates
+        self.clearance = clearance.data
 
     def evaluate(self, *outputs: str) -> list[Array]:
         """Outputs of what is loaded; the next call overwrites them."""
