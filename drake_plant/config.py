@@ -9,7 +9,6 @@ import numpy as np
 
 from contact_system import Scene, SceneError, Sphere
 from contact_system.checks import (
-    did_you_mean,
     finite_number,
     finite_numbers,
     flag,
@@ -63,11 +62,8 @@ class Push:
 
     def check(self, scene: Scene) -> None:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
-        if self.on not in (names := body_names(scene)):
-            raise SceneError(
-                f"on = {self.on!r}{did_you_mean(str(self.on), names)}: give one of "
-                f"{', '.join(names)}"
-            )
+        names = body_names(scene)
+        one_of(self.on, names, "on")
         if names.count(self.on) > 1:
             raise SceneError(
                 f"on = {self.on!r} names {names.count(self.on)} bodies: rename contacts"

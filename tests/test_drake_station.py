@@ -556,7 +556,7 @@ def one_push(**changes):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (one_push(on="finger 9"), "pushes.0.: on = 'finger 9'.*: give one of finger 1, .*, object"),
+        (one_push(on="finger 9"), "pushes.0.: on = 'finger 9' .*; use one of finger 1, .*, object"),
         (one_push(start=-1.0), "pushes.0.: start = -1.0: give a finite number not below 0"),
         (one_push(stop=0.1), "pushes.0.: stop = 0.1: give a time after start = 0.1"),
         (one_push(force=[1.0, 2.0]), r"pushes.0.: force = \[1.0, 2.0\]: give three numbers"),
