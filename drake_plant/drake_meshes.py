@@ -128,10 +128,9 @@ def painted(domain: Domain, colour: Rgba) -> list[tuple[Mesh, Rgba]]:
     lines = _rows("v %.5g %.5g %.5g", points)
     lines += _rows("vn %.3f %.3f %.3f", normals)
     facing = np.repeat(triangles + 1, 2, axis=1)
-    shaded = Rgba(*(SHADE * c for c in (colour.r(), colour.g(), colour.b())), colour.a())
     return [
         (_in_memory(lines + _rows("f %d//%d %d//%d %d//%d", facing[part]), ".obj"), shade)
-        for part, shade in ((~dark, colour), (dark, shaded))
+        for part, shade in ((~dark, colour), (dark, colour.scale_rgb(SHADE)))
     ]
 
 
