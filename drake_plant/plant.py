@@ -354,10 +354,8 @@ def _add_body(
         inertia = solid_inertia(name, surface, mass, mesh)
     body, at = plant.AddRigidBody(name, plant.AddModelInstance(name), inertia), RigidTransform()
     plant.RegisterCollisionGeometry(body, at, shape, name, properties)
-    if domain is None:
-        plant.RegisterVisualGeometry(body, at, shape, name, colour.rgba)
-        return body
-    for k, (painting, shade) in enumerate(painted(domain, colour)):
+    paintings = [(shape, colour)] if domain is None else painted(domain, colour)
+    for k, (painting, shade) in enumerate(paintings):
         plant.RegisterVisualGeometry(body, at, painting, f"{name}_{k}", shade.rgba)
     return body
 
