@@ -101,8 +101,9 @@ def geodesic(surface: Surface, a: ArrayLike, b: ArrayLike) -> Geodesic:
     Raises
     ------
     SurfaceError
-        Points not on the surface or 1e4 sizes apart, no geodesic between them, or a search that
-        exceeds ``limits.STRIPS``, as on a body as thin as a leaf.
+        Points not on the surface or 1e4 sizes apart, no geodesic between them, the shortest too
+        close to a pole of a user's chart, or a search that exceeds ``limits.STRIPS``, as on a body
+        as thin as a leaf.
     """
     pairs = Pairs(surface, a, b)
     if surface.chart.developable:

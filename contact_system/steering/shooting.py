@@ -74,6 +74,7 @@ class Search:
     def __init__(self, pairs: Pairs):
         self.pairs, self.follow, self.surface = pairs, pairs.follow, pairs.surface
         self.examined = np.zeros(len(pairs.chord), int)  # strips of each pair
+        self.lost = np.full(len(pairs.chord), math.inf)  # least length of those lost close to b
         farthest = float(pairs.chord.max(initial=0.0))
         if farthest > MOST_SIZES * self.surface.size:
             raise SurfaceError(
@@ -105,6 +106,14 @@ class Search:
                     phi[k], s[k] = direction, length
             missing = s[which] > reach
             which, reach = which[missing], np.minimum(1.5 * reach, s[which] * (1 + 1e-6))[missing]
+        doubtful = self.lost < s * (1 - 1e-3)
+        if doubtful.any():
+            k = doubtful.argmax()
+            raise SurfaceError(
+                f"{self.surface!r}: the shortest line from {self.pairs.x[k].tolist()} to "
+                f"{self.pairs.b[k].tolist()} comes too close to an edge or a pole of the chart; "
+                "move an end a little, or write the surface as an ImplicitSurface"
+            )
         return phi, s
 
     def several(self, most: int, longest: float | None) -> tuple[Array, Array]:
@@ -153,6 +162,10 @@ class Search:
         for _ in range(STEPS):
             k = which[active]
             end = self.follow(self.pairs.start(k, phi[active]), s[active], SHARP)
+            lost = ~np.isfinite(end[0])
+            close = active[lost & np.isfinite(off[active])]
+            np.minimum.at(self.lost, which[close], s[close])
+            active, k, end = active[~lost], k[~lost], end[:, ~lost]
             r, j = self.pairs.b[k].T - end[:3], end[9]
             away = np.sqrt(np.einsum("ij,ij->j", r, r))
             along, aside = (np.einsum("ij,ij->j", r, w) for w in (end[3:6], end[6:9]))
@@ -168,7 +181,7 @@ class Search:
             close = (away <= NEAR * self.follow.detail) & (np.abs(turn) * grown <= NEAR)
             off[active], field[active] = np.where(close, 0.0, away), j
             done = off[active] <= 0.02 * MET * size * grown
-            active = active[np.isfinite(away) & ~done]
+            active = active[~done]
             if not len(active):
                 break
         return phi, s, off <= MET * size * self.growth(field), field
