@@ -300,8 +300,7 @@ class Surface:
         if isinstance(u, float) and isinstance(v, float) and math.isfinite(u + v):
             # fast way for one point: no arrays, and no table if the point is clearly regular
             us, vs = self._wrap(u, v)
-            chart, least = self._regular
-            if not chart.floor(us, vs) > least:
+            if not self.chart(self.parameters).floor(us, vs) > 2 * SINGULAR * self.size:
                 self._require_regular(np.asarray(us), np.asarray(vs))
             return float(us), float(vs)
         us, vs = self._wrap(*self._finite(u, v))
@@ -320,11 +319,6 @@ class Surface:
 
     def _wrap(self, u: Any, v: Any) -> tuple[Any, Any]:
         return self.chart.wrap(u, v)
-
-    @cached_property
-    def _regular(self) -> tuple[Chart, float]:
-        """The chart with its numbers, and the `floor` above which points are clearly regular."""
-        return self.chart(self.parameters), 2 * SINGULAR * self.size
 
     def _require_regular(self, u: Array, v: Array) -> None:
         if self.chart.singular_at == "":
