@@ -159,7 +159,7 @@ def sweep(
     with Progress(max(steps, 1), "0 scenes") as progress, contextlib.closing(finished):
         count = 0
         for done, part in finished:
-            parts[done.first] = store(part, done.file)
+            parts[done.first] = part if done.file is None else store(part, done.file)
             count += len(done.items)
             progress.name, progress.done = f"{count} scenes", len(parts)
     return Sweep(parts)

@@ -25,10 +25,8 @@ from ..writing import writing
 from .chunk import Failure, Item, Part, Run
 
 
-def store(part: Part, path: Path | None) -> Part | Path:
-    """Write a part to its file, if it has one; returns the path, or the part."""
-    if path is None:
-        return part
+def store(part: Part, path: Path) -> Path:
+    """Write a part to a file; returns the path."""
     failures = json.dumps([asdict(failure) for failure in part.failures])
     with writing(path) as file:
         np.savez(file, table=part.table, failures=failures)
