@@ -105,14 +105,11 @@ static const char *restart_at_measurement(component_t *c, long i, segment_t *s) 
   const int posed = c->model->contacts[i].unknowns[0] > 0;
   const double *planned = values_of(c, i, OF_COORDINATES), *found;
   double x[N_STATES];
-  int by_plan = posed;
   if (!(sigma_now(c, i) > 0))
     return "sigma is zero, so that rates do not determine path velocities; measure while sigma > 0";
-  for (int side = 0; side < 2; side++) by_plan |= surface_of(c->model, i, side)->double_cover;
-  /* the plan gives the branch of a double cover, and where the search for the contact begins */
-  if (by_plan)
-    by_plan = !plan_to(c, i, c->now->acts_at) &&
-              !evaluate(c, i, time_on(c, i), BIT(OF_COORDINATES) | (posed ? BIT(OF_POINTS) : 0));
+  /* the plan gives the coordinates' turn and branch, and where the search for the contact begins */
+  const int by_plan = !plan_to(c, i, c->now->acts_at) &&
+                      !evaluate(c, i, time_on(c, i), BIT(OF_COORDINATES) | BIT(OF_POINTS));
   if (posed && !by_plan) return "its plan has no coordinates there; measure a moment later";
   const char *wrong = find_measured(c, i, &found);
   if (wrong) return wrong;
