@@ -122,10 +122,9 @@ def test_model_exchange_with_cvode_follows_the_plan(name, version):
 @of_kinds
 def test_at_a_pole_of_a_sphere_coordinates_are_those_of_a_moment_before(kind):
     contact = cs.Contact(cs.Plane(), (0.7, 0.3), (0.0, 0.0), finger_velocity=(-1.0, 0.0))
-    profile = {"profile": cs.Profile([0.1]), "duration": 1.0}
-    one = Instance(
-        cs.Scene(object=cs.Sphere(0.1), contacts=[contact], **profile), kind, "3.0"
-    ).begin()
+    profile = cs.Profile([0.1])
+    scene = cs.Scene(object=cs.Sphere(0.1), contacts=[contact], profile=profile, duration=1.0)
+    one = Instance(scene, kind, "3.0").begin()
     one.step(0.7)
     found = [one.get(f"contact[1].{name}")[0] for name in ("object.u", "object.v", "angle")]
     close(found, [0.0, 0.3, 0.0], 1e-7)
@@ -172,8 +171,7 @@ def set_inputs(one: Instance, *windows: cs.scene.Disturbance) -> None:
     for d in windows:
         side, _, kind = d.kind.partition(" ")
         for axis, x in zip("uv", d.value):
-            name = f"contact[{d.contact + 1}].{side}.{kind.replace(' ', '_')}.{axis}"
-            given[name] += x
+            given[f"contact[{d.contact + 1}].{side}.{kind.replace(' ', '_')}.{axis}"] += x
     one.put(given)
 
 

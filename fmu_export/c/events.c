@@ -85,7 +85,9 @@ static const char *restart_at_states(component_t *c, long i, segment_t *s, const
   for (int side = 0; side < 2; side++, root += 4) {
     const double *offset = acting + 4; /* in the object's rates, but not in its path velocity */
     const double du = x[4 * side + 2] - side * offset[0], dv = x[4 * side + 3] - side * offset[1];
-    for (int a = 0; a < 2; a++) path[side][a] = (root[a] * du + root[2 + a] * dv) / sigma;
+    const int framed = fmin(root[0], root[3]) > 1e-12 * body_of(c->model, i, side)[B_SIZE];
+    for (int a = 0; a < 2; a++)
+      path[side][a] = framed ? (root[a] * du + root[2 + a] * dv) / sigma : NAN;
   }
   if (!all_finite(path[0], 4))
     return "it is measured at a singular point of a chart; measure a moment later";
