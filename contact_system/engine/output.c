@@ -73,24 +73,15 @@ static void sample_paths(const contact_t *c, sample_t *m) {
     EACH_LANE(i) m->v[a][i] *= decay[i];
 }
 
-/* Nearer to a pole or an umbilic than this part of the body's size, rounding leaves the frame
-   without a direction. */
-static const double LOST = 1e-12;
-
 static void find_coordinates(work_t *w, side_t *a, const double *x, const double *turns, int n) {
   const track_t *k = a->track;
-  unit_t *u = table_at(w, k, M_COORDINATES, a->state);
-  copy_rows(u->r + state_size(k->in_space), a->velocity, 2);
-  copy_rows(a->coordinates, run(u), N_COORDINATES);
   if (k->in_space) {
-    wind_all(w, k, x, turns, a->coordinates, n);
-    const lanes_t z = a->coordinates, v = a->velocity;
-    const double lost = LOST * LOST * k->body->size * k->body->size;
-    EACH_LANE(i) {
-      const double rate = z[DU][i] * z[DU][i] + z[DV][i] * z[DV][i];
-      const double none = lost * rate > v[0][i] * v[0][i] + v[1][i] * v[1][i] ? NAN : 0.0;
-      z[V][i] += none, z[THETA][i] += none;
-    }
+    copy_rows(a->coordinates, principal(w, k->body, a->state, a->velocity), N_COORDINATES);
+    wind_all(k, x, turns, a->coordinates, n);
+  } else {
+    unit_t *u = table_at(w, k, M_COORDINATES, a->state);
+    copy_rows(u->r + 3, a->velocity, 2);
+    copy_rows(a->coordinates, run(u), N_COORDINATES);
   }
   for (int j = 0; j < 2 && any(k->offset); j++)
     for (int i = 0; i < L; i++) a->coordinates[DU + j][i] += k->offset[j];

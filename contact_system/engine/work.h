@@ -35,6 +35,12 @@ typedef struct {
   const double *edges, *series;
 } panels_t;
 
+/* u v theta at a place whose branch of the chart is known, and sin u, cos v, y as in branches.c */
+typedef struct {
+  double place[3], sin_u, cos_v, y;
+} anchor_t;
+enum { ANCHOR_SIZE = sizeof(anchor_t) / sizeof(double) };
+
 /* The motion of one body on one interval */
 typedef struct {
   const body_t *body;
@@ -54,8 +60,8 @@ typedef struct {
   /* where the branch of the chart is known: places on the panels, or phases of one revolution */
   int64_t n_anchors;
   const double *anchor_at;
-  const double (*anchors)[3]; /* u v theta */
-  double turn[3];             /* what one revolution adds to them */
+  const anchor_t *anchors;
+  double turn[3]; /* what one revolution adds to them */
 } track_t;
 
 /* A piece of the horizon, what acts on it in chart components, and its path velocities: W_1, W_2
@@ -102,8 +108,7 @@ struct work {
   unit_t body[2][2][N_TABLES]; /* side, in the chart or in space, table */
   unit_t pair[N_CONTACT_TABLES];
   room_t one;              /* registers of tables that run at one point */
-  room_t edges, series;    /* of the motion that is being integrated */
-  room_t raw;              /* anchors before their branch is known */
+  room_t edges, series;    /* of the motion that is being integrated, or its anchors */
   int64_t tried, begun;    /* panels tried so far, and before this contact */
   int64_t most, costliest; /* most panels tried by an earlier contact, and which one it was */
 };
@@ -124,7 +129,7 @@ static void end_work(work_t *w) {
     for (int a = 0; a < 2; a++)
       for (int t = 0; t < N_TABLES; t++) free(w->body[s][a][t].r);
   for (int t = 0; t < N_CONTACT_TABLES; t++) free(w->pair[t].r);
-  free(w->one.data), free(w->edges.data), free(w->series.data), free(w->raw.data);
+  free(w->one.data), free(w->edges.data), free(w->series.data);
 }
 
 /* Makes room for n doubles; what is in it stays. */
