@@ -286,13 +286,9 @@ static void panels_at(const panels_t *p, int64_t row, int64_t rows, const double
     while (stop < L && x[stop] >= from && x[stop] < to) stop++;
     for (int q = 0; q < L; q++) xi[q] = clip((x[q] - low) * scale - 1.0, -1.0, 1.0);
     const double *c = p->series + (k * p->rows + row) * TERMS;
-    if (i == 0 && stop == L)
-      series_at(c, rows, xi, y);
-    else {
-      series_at(c, rows, xi, part);
-      for (int64_t r = 0; r < rows; r++)
-        memcpy(y[r] + i, part[r] + i, (size_t)(stop - i) * sizeof(double));
-    }
+    series_at(c, rows, xi, part);
+    for (int64_t r = 0; r < rows; r++)
+      memcpy(y[r] + i, part[r] + i, (size_t)(stop - i) * sizeof(double));
     i = stop;
   }
 }
