@@ -172,12 +172,9 @@ static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x,
   return f;
 }
 
-/* Puts (x, p) back onto the surface; on lanes, as a compiled twin is faster than `run_one`. */
+/* Puts (x, p) back onto the surface. */
 static void restore_body(work_t *w, const body_t *b, double *state) {
-  unit_t *u = table_of(w, b, IN_SPACE, A_RESTORE);
-  for (int j = 0; j < 6; j++) fill_lanes(u->r[j], state[j]);
-  lanes_t found = run(u);
-  for (int j = 0; j < 6; j++) state[j] = found[j][0];
+  run_one(w, b->surface->tables[IN_SPACE][A_RESTORE], b->numbers, state, state);
 }
 
 /* 1/(unit of each state): the body's size for positions, 1 for angles and directions, and for
