@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.geometry import GeometrySet
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, VectorToSkewSymmetric
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
@@ -230,7 +230,8 @@ class Chains:
         half, unit = self._half[own], self.unit[own]
         part = (self.middle - q)[own] / half
         inwards = POSTURE * part / (half * np.maximum(1 - part**2, NEAR))  # stronger near limits
-        turn = np.cross(normal, self.pose(i).rotation() @ self._pads[i])
+        # with np.cross a plan would take a third longer
+        turn = VectorToSkewSymmetric(normal) @ (self.pose(i).rotation() @ self._pads[i])
         return unit**2 * (inwards + ON_PAD * self.jacobian(i)[:3, own].T @ turn)
 
     # --- positions and velocities of joints for motions of the tips ------------------------------
@@ -339,7 +340,7 @@ class Chains:
         for i, own in enumerate(self.joints):
             at = self.touch(i, X_WO)
             x_F, arm, normal = at[ON_FINGER], rotation @ at[ON_OBJECT], rotation @ at[NORMAL]
-            v, J = V_WO[3:] + np.cross(w, arm), self.jacobian(i, x_F)[3:]
+            v, J = V_WO[3:] + VectorToSkewSymmetric(w) @ arm, self.jacobian(i, x_F)[3:]
             found[own] = self._nearest(i, J, v, pace * self.centring(i, q, normal))
             if np.linalg.norm(J @ found - v) > SLIPPING * pace * self.scene.object.size:
                 raise SceneError(
