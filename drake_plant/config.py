@@ -35,7 +35,8 @@ CHOICES = {
 EDGES = ("finger_edge", "object_edge")
 GAINS = ("position_gain", "velocity_gain", "normal_damping", "spin_gain")
 MAY_BE_0 = {"time_step", "friction", "gravity", *GAINS, "slip_gain", "restart_distance"}
-HANDS_ONLY = ("turn", "move")  # settings without an effect on free fingertips; on those of hands:
+# settings that do nothing without a hand, and with one
+HANDS_ONLY = ("turn", "move")
 TIPS_ONLY = ("coordinates", "disturbance_input", "restart_period", "restart_distance")
 
 

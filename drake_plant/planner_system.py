@@ -34,7 +34,7 @@ from .scalars import evaluate_scalars
 from .tables import Scratch, per_thread
 
 NEARBY = 10 * CLEARANCE
-"""Nearer than this to a chart's singularity, the end of each step is examined."""
+"""The end of a step is examined if its last derivatives were nearer than this to a singularity."""
 SINCE, BEGAN, DUE, HEADER = range(4)  # places in `ContactPlanner._followed`
 RESTING = 1e-3
 """A contact up to this part of its greatest sigma counts as at rest."""
@@ -207,9 +207,9 @@ class ContactPlanner(_Convertible, LeafSystem):
     # --- what is refused at the end of a step -----------------------------------------------------
 
     def _Watch(self, context: Any) -> None:
-        """Refuse singular points and drift at ends of steps: trial steps, which error control may
-        reject, may go anywhere. The last derivatives of a step tell whether to look for singular
-        points at its end.
+        """Refuse singular points and drift, but only at ends of steps: trial steps, which error
+        control may reject, may go anywhere. The end is examined for singular points if the last
+        derivatives were computed near one.
         """
         scratch, t = self._scratch(), context.get_time()
         if not scratch.clearance[0] > NEARBY:
@@ -231,9 +231,9 @@ class ContactPlanner(_Convertible, LeafSystem):
             refuse_drift(self.system.scene, plan, t, points, self._tolerance)
 
     def _CalcFollowed(self, context: Any) -> Array:
-        """Which plan contacts follow: since when; when comparing with it began, and is due next,
-        inf before a simulation and while the port disturbs contacts; the state in which that plan
-        starts, inf if it is the scene's plan."""
+        """What contacts are compared with: since when they follow the present plan; when comparing
+        began; when it is due next, inf before a simulation and while the port disturbs contacts;
+        the state in which the plan starts, inf for that of the scene."""
         return np.full(HEADER + 9 * len(self.system.scene.contacts), math.inf)
 
     def _Begin(self, context: Any) -> None:

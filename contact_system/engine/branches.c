@@ -4,25 +4,25 @@
    continues them, but beside a pole theta and an azimuth change by up to half a turn, and only
    points in between show in which direction.
 
-   A chart of a triaxial ellipsoid covers it twice: (u, v) and (-u, pi - v) are one point. sin u and
-   cos v have opposite signs on the two covers, but their product y the same one, so that a point in
-   space determines it. As long as a path keeps the sign of y it keeps those of both factors, which
-   tell its cover. Where y changes its sign one of them does, and only the place of the crossing
-   shows which: beside umbilics, where both are 0, they change in no time.
+   A chart of a triaxial ellipsoid covers it twice: (u, v) and (-u, pi - v) are one point. On the
+   other cover both sin u and cos v have the opposite sign. So their product y is known for a point
+   in space, and where a path keeps the sign of y, each factor keeps its own and tells the cover.
+   Where y changes its sign, one of the factors does. Close to this place the other one is much
+   greater, and tells the cover; beside umbilics, where both are 0, that is very close.
 
    Anchors are places whose branch is known. Between two of them theta changes by less than a
    quarter turn and y keeps its sign: a point between them is on the branch of the nearer one. */
 
 enum { U, V, DU, DV, THETA, N_COORDINATES };
-/* per panel; per revolution, as many as one run continues to */
+/* at first: per panel; per revolution, as many as one call of `add_anchors` can add */
 enum { PANEL_ANCHORS = 4, CIRCLE_ANCHORS = L - 1 };
 
 /* Nearer to a pole or an umbilic than this part of the body's size, rounding leaves the frame
    without a direction. */
 static const double LOST = 1e-12;
 
-/* u v u' v' theta in principal values at states of a body in space, which moves with a velocity;
-   v and theta are NaN where the frame is lost */
+/* u v u' v' theta in principal values, from states x p of a body and the components of x' along p
+   and q; v and theta are NaN where the frame is lost */
 static lanes_t principal(work_t *w, const body_t *b, const double (*state)[L],
                          const double (*velocity)[L]) {
   unit_t *u = table_of(w, b, IN_SPACE, M_COORDINATES);
@@ -38,8 +38,8 @@ static lanes_t principal(work_t *w, const body_t *b, const double (*state)[L],
   return z;
 }
 
-/* The same at places x of a path, in the variable of its panels or the phase of its circle; rates
-   are those of unit speed */
+/* The same at places x of a path, in the variable of its panels or the phase of its circle, as if
+   its speed were 1 */
 static lanes_t principal_on(work_t *w, const track_t *k, const double *x) {
   double state[6][L], velocity[2][L];
   for (int j = 0; j < 2; j++) fill_lanes(velocity[j], sqrt(0.5));
@@ -50,7 +50,7 @@ static lanes_t principal_on(work_t *w, const track_t *k, const double *x) {
   return principal(w, k->body, state, velocity);
 }
 
-/* Takes one lane of them; returns nonzero if they are not finite, at a pole or an umbilic. */
+/* Copies lane i of them; returns nonzero if it is not finite, as at a pole or an umbilic. */
 static int take_lane(const double (*z)[L], int i, double *value) {
   int none = 0;
   for (int r = 0; r < N_COORDINATES; r++) value[r] = z[r][i], none |= !isfinite(value[r]);
@@ -83,7 +83,7 @@ static void wind(const surface_t *s, const double *ref, double *z) {
   wind_to(s, s->double_cover && du2 * du2 + dv2 * dv2 < du * du + dv * dv, ref, z);
 }
 
-/* sin u and cos v of L points; ones in a chart that covers its surface once */
+/* sin u and cos v of L points; both 1 in a chart that covers its surface once */
 static void find_factors(const surface_t *s, const double (*z)[L], double (*f)[L]) {
   double unused[L];
   if (s->double_cover)
@@ -93,7 +93,7 @@ static void find_factors(const surface_t *s, const double (*z)[L], double (*f)[L
 }
 
 /* Moves a point in principal coordinates, with these factors, to the branch of an anchor beside it.
-   Returns the sign that the factors then have to be multiplied by. */
+   Returns -1 if that is on the other cover, where the factors have the opposite sign; else 1. */
 static inline double wind_beside(const surface_t *s, const anchor_t *a, double sin_u, double cos_v,
                                  double *z) {
   const int turned = sin_u * a->sin_u + cos_v * a->cos_v < 0.0;
@@ -108,11 +108,12 @@ static inline double product(double sin_u, double cos_v) {
   return fmin(fabs(sin_u), fabs(cos_v)) < 1e-12 ? 0.0 : sin_u * cos_v;
 }
 
-/* Whether y may change its sign between the middle ones of four places, or change it twice. At an
-   end of a path two places are one.
+/* Whether y may change its sign, once or twice, between the middle two of four places. At an end of
+   a path two of the places are equal.
 
-   It may do so twice if |y| falls before and rises after them so fast that at these rates it would
-   reach 0: where a parabola touches 0, the sum below is 1/3 at most. */
+   It may do so twice if |y| falls before these two and rises after them. At these rates it comes to
+   0 in some part of the step from each end. Where a parabola touches 0 and steps are equal, the sum
+   of both parts is at most 1/3. */
 static int may_cross(const double *x, const double *y) {
   const double sign = y[1] + y[2] < 0.0 ? -1.0 : 1.0, step = sign * (x[2] - x[1]);
   const double fall = x[1] > x[0] ? step * (y[0] - y[1]) / (x[1] - x[0]) : HUGE_VAL;
@@ -121,10 +122,10 @@ static int may_cross(const double *x, const double *y) {
   return fall > 0.0 && rise > 0.0 && sign * (y[1] / fall + y[2] / rise) < 0.5;
 }
 
-/* Continues a path from its last anchor to places x but the last one, which shows how y goes on.
-   A step on which the branch is not clear is made in L - 1 parts, down to rounding: short ones in
-   the middle or, where y changes its sign, at its zero by the secant. A pole takes the branch of
-   the place before. */
+/* Adds anchors at places x of a path, except at the last place, which only shows how y goes on.
+   Where the branch is not clear, the step is divided into L - 1 parts, and these again, down to
+   rounding. Parts are shortest in the middle or, where y changes its sign, where the secant is 0.
+   An anchor at a pole repeats the one before. */
 static void add_anchors(work_t *w, const track_t *k, const double *x, int64_t *n) {
   double z[N_COORDINATES][L], f[2][L], y[L], own[N_COORDINATES], parts[L];
   copy_rows(z, principal_on(w, k, x), N_COORDINATES);
@@ -158,7 +159,7 @@ static void add_anchors(work_t *w, const track_t *k, const double *x, int64_t *n
   }
 }
 
-/* Where a track is continued to at first; it begins at place 0. */
+/* Where the anchors of a track are at first, counted from 1; it begins at 0. */
 static double base_place(const track_t *k, int64_t place) {
   if (k->kind == CIRCLE) return TURN * (double)place / CIRCLE_ANCHORS;
   const int64_t panel = (place - 1) / PANEL_ANCHORS;

@@ -191,8 +191,8 @@ typedef struct {
   plan_t *(*plan)(const double *scene, int64_t size, const surface_t *const *surfaces,
                   failure_t *failure);
   void (*drop)(plan_t *plan);
-  /* finds the branches of charts if `out` asks for results in contact frames, or is NULL: before
-     evaluate, and before moments */
+  /* finds the branches of charts: before `evaluate`, if `out` asks for results in contact frames;
+     with NULL, before `moments` */
   int (*anchor)(plan_t *plan, double *const *out, failure_t *failure);
   /* out[output][contact][row][time], NULL where not asked for */
   int (*evaluate)(const plan_t *plan, int64_t n, const double *t, double *const *out,

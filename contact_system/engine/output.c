@@ -300,8 +300,8 @@ static const struct {
   int output, of_finger;
 } IN_FRAMES[N_IN_FRAMES] = {{STATES, 4}, {SLIP, 0}, {ACCELERATION, 0}, {CARRIED, 3}};
 
-/* They are not finite at a pole or an umbilic. The first such time becomes the failure; the other
-   contacts are evaluated all the same. */
+/* Such results are not finite at a pole or an umbilic. The first such time becomes the failure; the
+   other contacts are evaluated all the same. */
 static void report_singular(work_t *w, const contact_t *c, int64_t n, const double *t,
                             double *const *out) {
   for (int a = 0; a < N_IN_FRAMES && !w->failure->code; a++) {
@@ -338,7 +338,7 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
       const double *edges = c->track_edges[s];
       track[s] = interval(edges, c->n_tracks[s], times[i], track[s]);
       m.side[s].track = c->tracks[s] + track[s];
-      /* fmax() would take a quarter of the time of points: gcc calls it without vzeroupper */
+      /* not fmax(), which gcc calls without vzeroupper: it took a quarter of the time of points */
       if (edges[track[s]] > from) from = edges[track[s]];
       if (edges[track[s] + 1] < until) until = edges[track[s] + 1];
     }

@@ -35,7 +35,8 @@ typedef struct {
   const double *edges, *series;
 } panels_t;
 
-/* u v theta at a place whose branch of the chart is known, and sin u, cos v, y as in branches.c */
+/* u v theta at a place whose branch of the chart is known, and there sin u, cos v and their product
+   y: see branches.c */
 typedef struct {
   double place[3], sin_u, cos_v, y;
 } anchor_t;
@@ -108,7 +109,7 @@ struct work {
   unit_t body[2][2][N_TABLES]; /* side, in the chart or in space, table */
   unit_t pair[N_CONTACT_TABLES];
   room_t one;              /* registers of tables that run at one point */
-  room_t edges, series;    /* of the motion that is being integrated, or its anchors */
+  room_t edges, series;    /* of the motion that is being integrated, then of its anchors */
   int64_t tried, begun;    /* panels tried so far, and before this contact */
   int64_t most, costliest; /* most panels tried by an earlier contact, and which one it was */
 };

@@ -27,8 +27,8 @@ PARTS = 8
 
 
 class Region(NamedTuple):
-    """A ball about a point of body 0 or 1; searches for paths keep to a radius a little less than
-    the widest that is allowed."""
+    """A ball about a point of body 0 or 1. A path may go as far as ``widest`` from the point; a
+    search keeps to ``radius``, which is a little less."""
 
     side: int
     centre: Array
@@ -52,7 +52,7 @@ class Aim(Steer):
     goal_psi : float
         psi at the goal.
     pose : (4, 4)
-        The finger's pose at the goal; it counts if `has_rotation`.
+        The finger's pose at the goal, wanted only if `has_rotation`.
     regions : list of Region
         Where the contact must stay.
     sizes : list of float

@@ -74,7 +74,8 @@ class Search:
     def __init__(self, pairs: Pairs):
         self.pairs, self.follow, self.surface = pairs, pairs.follow, pairs.surface
         self.examined = np.zeros(len(pairs.chord), int)  # strips of each pair
-        self.lost = np.full(len(pairs.chord), math.inf)  # least length of those lost close to b
+        self.lost = np.full(len(pairs.chord), math.inf)
+        """For each pair the least length at which a line that was near b could not be followed."""
         farthest = float(pairs.chord.max(initial=0.0))
         if farthest > MOST_SIZES * self.surface.size:
             raise SurfaceError(

@@ -148,7 +148,7 @@ class InSpace(Moving):
 
         One Newton step along the gradient squares the distance from the surface.
         """
-        # with the gradient at x: with the surface's, a step from afar would go beyond the body
+        # with the gradient at x: by that on the surface, a step from afar would end beyond the body
         restored = self.x - self.level * self._steepness * self.gradient
         normal = ca.substitute(self.gradient, self.x, restored)
         normal /= ca.norm_2(normal)

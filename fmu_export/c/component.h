@@ -80,7 +80,7 @@ typedef struct {
   void (*log)(void);  /* the importer's logger, of the type in its version of FMI */
   void *environment;  /* the logger's */
   char name[256];
-  int uses_events, early_return; /* the importer handles events; and steps that end early at them */
+  int uses_events, early_return; /* the importer handles events; and steps that end early */
   int changed, evaluated; /* an input changed in continuous time; then rates were evaluated */
 } component_t;
 

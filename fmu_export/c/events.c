@@ -125,8 +125,8 @@ static const char *restart_at_measurement(component_t *c, long i, segment_t *s) 
   return restart_at_states(c, i, s, x, found + N_STATES);
 }
 
-/* Begins a new segment of each contact whose inputs, gain or measurement have changed, where
-   results come from plans. target: of a step, or the present time. */
+/* If results come from plans, begins a new segment of each contact whose inputs, gain or
+   measurement have changed. target: the end of a step, or the present time. */
 static status_t settle(component_t *c, double target) {
   memory_t *now = c->now;
   if (now->settled || FROM_STATES(now)) return OK;

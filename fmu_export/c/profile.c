@@ -43,8 +43,8 @@ static double clear_sigma(const leg_t *leg, double t) {
   return clear_value(leg->sigma, leg->n, t, horner(leg->sigma, leg->n, t));
 }
 
-/* where the leg's sigma, or its rate for order 1, changes its sign between two times, ascending: in
-   c->scratch */
+/* Puts the times, ascending, at which the leg's sigma, or for order 1 its rate, changes its sign
+   between two times into c->scratch; returns how many there are. */
 static long signs_of(const component_t *c, const leg_t *leg, int order, double from, double to) {
   const double a = from - leg->start, b = to - leg->start;
   const long n = (long)sign_changes(leg->sigma, leg->n, order, a, b, c->scratch);
@@ -52,7 +52,7 @@ static long signs_of(const component_t *c, const leg_t *leg, int order, double f
   return n;
 }
 
-/* Finds the limit. Only the last leg's sigma may turn negative. */
+/* Finds when the first sigma turns negative. Only that of a last leg may. */
 static void study_profiles(component_t *c) {
   c->now->limit = HUGE_VAL;
   for (long i = 0; i < c->model->n_contacts; i++) {

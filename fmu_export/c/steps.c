@@ -80,8 +80,8 @@ static status_t start(component_t *c) {
 
 /* ---- steps ---- */
 
-/* Moves all contacts to a time, or to an edge or sigma's end before it if the importer allows that;
-   or none. */
+/* Moves all contacts to a time, or none. If the importer allows it, the step ends before that time,
+   where sigma ends or, with events, at an edge. */
 static status_t step(component_t *c, double target) {
   memory_t *now = c->now;
   const long n = c->model->n_contacts;
