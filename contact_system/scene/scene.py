@@ -147,7 +147,8 @@ class Scene:
         return name if alone else self.contact_title(index)
 
     def require_contact(self, index: Any, others: str = "") -> None:
-        """Raise a SceneError if the scene has no contact of this index; ``others`` also go."""
+        """Raise a SceneError if the scene has no contact of this index. Its remedy names the
+        indices, and ``others`` that the caller takes besides."""
         count = len(self.contacts)
         if index not in range(count):
             raise SceneError(

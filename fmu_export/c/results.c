@@ -23,7 +23,7 @@ static status_t refresh(component_t *c, long i, int group) {
   return OK;
 }
 
-/* greater ones are none: at rest, tables divide an acceleration by 1e-300 */
+/* a greater result is no value: at rest, tables divide an acceleration by 1e-300 */
 #define BEYOND_VALUES 1e200
 
 /* Says why there is no value. */
