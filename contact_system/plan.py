@@ -158,8 +158,10 @@ class Plan:
     def states(self, t: ArrayLike, gaps: bool = False) -> np.ndarray:
         """u1 v1 u1' v1' u2 v2 u2' v2' psi: (len(t), n_contacts, 9); rad, or m for lengths u, v.
 
-        Coordinates and psi are continuous along the path. Rates are those of the contact point,
-        object rate offsets included. With ``gaps``, NaN takes the place of the error.
+        Coordinates and psi are continuous along the path. Exactly at a pole or an umbilic some of
+        them jump by half or a quarter of a turn, and rounding decides in which direction. Rates are
+        those of the contact point, object rate offsets included. With ``gaps``, NaN takes the place
+        of the error.
 
         Raises
         ------
@@ -249,7 +251,8 @@ class Plan:
         """The plan from time t on, under other disturbances, gain, profile or duration.
 
         It starts from the exact state of the moving frames: with an unchanged scene it reproduces
-        this plan, even from a pole or where sigma = 0.
+        this plan, even from a pole or where sigma = 0, but beyond a pole it may have other whole
+        turns in its states.
 
         Parameters
         ----------
