@@ -446,6 +446,22 @@ def test_simulations_with_autodiff_turn_corners_too():
     assert np.allclose([to_float(v) for v in x], wanted)
 
 
+def test_a_planner_is_compared_with_the_plan_again_once_its_port_is_quiet():
+    planner = ContactPlanner(cs.load_scene("K1"), "frame", disturbance_input=True)
+    port = planner.GetInputPort("disturbance")
+    for scheme, step in ("runge_kutta3", 1e-3), ("explicit_euler", 1e-2):
+        found = simulator(planner, scheme, step)
+        context = found.get_mutable_context()
+        port.FixValue(context, 0.1 * np.ones(18))
+        found.AdvanceTo(0.5)  # no plan knows what the port will do
+        port.FixValue(context, np.zeros(18))
+        if scheme == "runge_kutta3":
+            found.AdvanceTo(1.0)
+            continue
+        with pytest.raises(cs.SceneError, match="K1.*off the exact plan.*error control"):
+            found.AdvanceTo(1.0)
+
+
 # --- other scalars -------------------------------------------------------------------------------
 
 
