@@ -10,7 +10,7 @@ import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,22 +95,16 @@ def known_keys(table: Mapping, known: Iterable[str], place: str = "") -> None:
         one_of(key, known, f"{place}key")
 
 
-def is_plain(values: Any) -> TypeGuard[tuple[float, ...]]:
-    """True for a non-empty tuple of finite floats: nothing to convert or refuse."""
-    if type(values) is not tuple or not values:
-        return False
-    for x in values:
-        if type(x) is not float or not -LARGEST < x < LARGEST:
-            return False
-    return True
-
-
 def finite_numbers(
     values: Any, what: str, error: type[ContactSystemError] = SceneError
 ) -> tuple[float, ...]:
     """The values as a tuple of floats; raises the error if there are none or one is not finite."""
-    if is_plain(values):
-        return values
+    if type(values) is tuple and values:  # a fast way if there is nothing to convert or refuse
+        for x in values:
+            if type(x) is not float or not -LARGEST < x < LARGEST:
+                break
+        else:
+            return values
     try:
         if isinstance(values, (set, dict)):  # a set has no order, and a dict gives its keys
             raise TypeError

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..checks import did_you_mean, finite_number, finite_numbers, is_plain, of_kind, within
+from ..checks import did_you_mean, finite_number, finite_numbers, of_kind, within
 from ..errors import SceneError
 from ..surfaces import Surface
 from ..theory.profile import Numbers, Profile
@@ -23,9 +23,8 @@ REST = "rest"
 
 
 def pair(value: Any, what: str, words: Sequence[str] = ()) -> Pair:
-    if is_plain(value) and len(value) == 2:
-        return value
-    if isinstance(value, Iterable) and not isinstance(value, str):
+    # tuple first: a check against an abstract class takes longer
+    if type(value) is tuple or (isinstance(value, Iterable) and not isinstance(value, str)):
         numbers = finite_numbers(value, what)
         if len(numbers) == 2:
             return numbers
