@@ -51,7 +51,7 @@ def _surface_keys(name: str) -> dict[str, bool]:
     return {
         key: parameter.default is parameter.empty or key in _FORMULAS
         for key, parameter in arguments.items()
-        if key not in ("inside", "formula")
+        if key != "formula"
     }
 
 
@@ -169,16 +169,13 @@ def _surface(value: Any) -> Surface:
     name = one_of(table["surface"], surfaces.KINDS, "surface")
     keys = _surface_keys(name)
     required = [key for key, needed in keys.items() if needed]
-    table = _table(table, ("surface", *keys, "inside"), required, place=f"{name}: ")
-    inside = table.get("inside", False)
-    if not isinstance(inside, bool):
-        raise SceneError(f"inside = {inside!r}: write true or false")
-    arguments = {key: table[key] for key in keys if key in table}
+    table = _table(table, ("surface", *keys), required, place=f"{name}: ")
+    arguments = _with_numbers(table, keys.keys() - {*_FORMULAS, "parameters", "inside"})
+    del arguments["surface"]
     if "parameters" in arguments:
         with naming("parameters"):
             arguments["parameters"] = _with_numbers(_table(arguments["parameters"]))
-    arguments = _with_numbers(arguments, arguments.keys() - {*_FORMULAS, "parameters"})
-    return surfaces.KINDS[name](**arguments, inside=inside)
+    return surfaces.KINDS[name](**arguments)
 
 
 _AS_GIVEN = ("name", "description", "chosen", "contact")
@@ -231,8 +228,6 @@ def _numbers(value: Any, what: str) -> Any:
     if isinstance(value, str):
         with naming(what):
             value = parse(value, {})
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise SceneError(f"{what} = {value!r}: give a number")
     return finite_number(value, what)
 
 
@@ -313,14 +308,12 @@ def _surface_table(surface: Surface, what: str) -> dict[str, Any]:
     table: dict[str, Any] = {"surface": name}
     for key in _surface_keys(name):
         value = getattr(surface, "named_parameters" if key == "parameters" else key)
-        if value is not None:
-            table[key] = value
-        elif key in _FORMULAS:
+        if value is None and key in _FORMULAS:
             raise SceneError(
                 f"{what}: {key} is a Python function, which a file cannot hold; give {key} as text"
             )
-    if surface.inside:
-        table["inside"] = True
+        if value is not None and value is not False:
+            table[key] = value
     return table
 
 

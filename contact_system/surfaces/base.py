@@ -54,7 +54,7 @@ class Surface:
     inside: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
-        remedy = "True or False; True puts the body on the other side, as for a bowl"
+        remedy = "True or False (in files true or false); True: the body is on the other side"
         of_kind((bool, np.bool_), self.inside, f"{self._kind}: inside", remedy, SurfaceError)
         store(self, inside=bool(self.inside))
 
