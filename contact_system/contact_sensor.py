@@ -80,16 +80,14 @@ def measured_states(
     """
     require_scene(scene)
     poses = _given(scene, "pose", pose, (4, 4))
-    for i, pose_i in enumerate(poses):
-        rigid_motion(
-            pose_i, f"{scene.title}, {scene.contact_title(i)}: pose", NOISE, ContactSystemError
-        )
     others = _given(scene, "twist", twist, (6,)), _given(scene, "points", points, (3,))
     states = []
     for i, (probe, pose_i, twist_i, point) in enumerate(zip(probes_of(scene), poses, *others)):
+        what = f"{scene.title}, {scene.contact_title(i)}"
+        rigid_motion(pose_i, f"{what}: pose", NOISE, ContactSystemError)
         probe.seen[:18] = *pose_i[:3].ravel(), *twist_i
         probe.find(point)
-        states.append(probe.states(f"{scene.title}, {scene.contact_title(i)}"))
+        states.append(probe.states(what))
     return np.array(states)
 
 
