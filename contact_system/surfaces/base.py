@@ -96,8 +96,7 @@ class Surface:
     @property
     def table_name(self) -> str | None:
         """Name of this structure's tables in the engine; None if they are made at first use."""
-        cls = type(self)
-        return f"{cls.__name__}_{self.chart.__name__}" if "examples" in vars(cls) else None
+        return "_".join(self.structure) if "examples" in vars(type(self)) else None
 
     @property
     def sign(self) -> float:
