@@ -5,11 +5,8 @@ from __future__ import annotations
 import difflib
 import math
 import numbers
-import os
-import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -47,17 +44,6 @@ def within(
         raise error(
             f"{what}: {min(count, 1e300):.15g}, and the limit is {most:.15g}; {remedy}, or set "
             f"contact_system.limits.{limit} higher"
-        )
-
-
-def require_regular(path: str | os.PathLike[str]) -> None:
-    """Raise a SceneError for a folder, a device or a pipe, which may never end.
-
-    Raises an OSError if there is no file, a ValueError if the path is not a valid one.
-    """
-    if not stat.S_ISREG(os.stat(path).st_mode):
-        raise SceneError(
-            f"'{path}' cannot be read: it is a folder, a device or a pipe; give a regular file"
         )
 
 
@@ -219,25 +205,6 @@ def flag(value: Any, what: str) -> bool:
     return bool(of_kind((bool, np.bool_), value, what, "True or False"))
 
 
-def a_path(value: Any, what: str = "path") -> Path:
-    """The value as a Path; raises a SceneError if it does not name a file."""
-    try:
-        path = os.fsdecode(value)
-        os.fsencode(path)
-    except (TypeError, UnicodeError):
-        raise SceneError(f"{what} = {value!r:.80}: give a path that can name a file") from None
-    return Path(path)
-
-
 def items_of(values: Any) -> tuple:
     """The items of an iterable, read once; none for a text or anything else."""
     return tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else ()
-
-
-def make_folder(path: Path, remedy: str) -> Path:
-    """The folder, made if it is missing; raises a ContactSystemError with the remedy."""
-    try:
-        a_path(path).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ContactSystemError(f"no folder '{path}': {error.strerror}; {remedy}") from None
-    return path

@@ -24,8 +24,9 @@ from typing import Any
 import numpy as np
 
 from . import __version__, plots
-from .checks import known_keys, make_folder, naming
+from .checks import known_keys, naming
 from .errors import ContactSystemError, SceneError
+from .files import make_folder
 from .measures import (
     REJECTED,
     Rejection,

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import a_path, finite_number, of_kind, one_of, shaped_array, whole_number
+from .checks import finite_number, of_kind, one_of, shaped_array, whole_number
 from .errors import ChartSingularity, ContactSystemError, SceneError
+from .files import a_path, opened, writing
 from .planning.motion import SHAPES, Motion
 from .planning.starts import Starts, measured_start, on_branch
 from .scene import Scene, acting, require_scene
-from .writing import writing
 
 METHODS = ("auto", "chart")
 SOLVERS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
@@ -476,8 +476,7 @@ def load(path: str | os.PathLike[str]) -> Plan:
         The file cannot be read, is not such a plan, is damaged, or exceeds a limit of
         `contact_system.limits`.
     """
-    from .archives import opened  # archives are slow to import
-    from .planning.saved import inputs_of
+    from .planning.saved import inputs_of  # archives are slow to import
 
     path = a_path(path)
     if path.suffix == ".toml":

@@ -25,9 +25,9 @@ from fmpy.simulation import (
     settable_in_instantiated,
 )
 
-from contact_system.archives import opened
-from contact_system.checks import Array, a_path, did_you_mean
+from contact_system.checks import Array, did_you_mean
 from contact_system.errors import ContactSystemError
+from contact_system.files import a_path, opened
 
 from .fmu_contents import PortVariables, carried, library_of, read_description, size_of
 

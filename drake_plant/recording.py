@@ -23,10 +23,10 @@ from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
 from contact_system import Scene, plan
-from contact_system.checks import Array, a_path
+from contact_system.checks import Array
+from contact_system.files import a_path, writing
 from contact_system.measures import windows
 from contact_system.plots.style import DISTURBED, INK, colour_of
-from contact_system.writing import writing
 
 from .config import body_names
 from .drake_meshes import rgba

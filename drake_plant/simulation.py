@@ -19,9 +19,9 @@ from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 from scipy.interpolate import make_interp_spline
 
 from contact_system import ContactSystemError, Scene, SceneError, plan
-from contact_system.checks import Array, a_path, finite_number, of_kind
+from contact_system.checks import Array, finite_number, of_kind
+from contact_system.files import a_path, writing
 from contact_system.scene import scene_to_toml
-from contact_system.writing import writing
 
 from .balance import friction_used
 from .config import StationConfig, checked

@@ -10,9 +10,8 @@ from pathlib import Path
 
 from fmpy.model_description import ValidationError, read_model_description
 
-from contact_system.checks import a_path, make_folder
 from contact_system.errors import ContactSystemError
-from contact_system.writing import writing
+from contact_system.files import a_path, make_folder, writing
 
 
 def target(path: str | os.PathLike[str]) -> Path:

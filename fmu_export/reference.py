@@ -12,8 +12,8 @@ from pathlib import Path
 import fmpy
 import numpy as np
 
-from contact_system.archives import opened
 from contact_system.errors import ContactSystemError
+from contact_system.files import opened
 from contact_system.plan import plan
 from contact_system.scene import Scene
 

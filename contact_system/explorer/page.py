@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import make_folder
 from ..errors import ContactSystemError
+from ..files import make_folder
 from ..plan import Plan, plan
 from ..plots import DECADES
 from ..plots.bodies import best_view

@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import a_path, finite_number
+from ..checks import finite_number
 from ..errors import ContactSystemError
+from ..files import a_path, writing
 from ..measures import exact_slip, windows
 from ..plan import Plan, require_plan
 from ..scene import Scene, speed
 from ..theory.gain import Gain
 from ..theory.profile import Profile
-from ..writing import writing
 from .bodies import draw_body
 from .curves import curves_of, distinct
 from .meshes import mesh_of

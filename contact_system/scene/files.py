@@ -19,21 +19,19 @@ from typing import TYPE_CHECKING, Any
 
 from .. import surfaces
 from ..checks import (
-    a_path,
     did_you_mean,
     finite_number,
     known_keys,
     naming,
     one_of,
-    require_regular,
     within,
 )
 from ..errors import ContactSystemError, SceneError
 from ..expressions import parse
+from ..files import a_path, require_regular, writing
 from ..surfaces import TURN, Surface
 from ..theory.gain import LAWS, Gain
 from ..theory.profile import Profile
-from ..writing import writing
 from .contact import Contact, Turning
 from .disturbances import DISTURBANCE_KINDS, Disturbance
 from .legs import STILL, Leg

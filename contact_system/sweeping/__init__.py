@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..checks import a_path, flag, make_folder, of_kind, whole_number
+from ..checks import flag, of_kind, whole_number
 from ..errors import ContactSystemError
+from ..files import a_path, make_folder
 from ..measures import summary
 from ..plan import checked_tolerance
 from ..scene import Scene

@@ -17,11 +17,11 @@ import numpy as np
 
 from .. import __version__
 from ..errors import ContactSystemError
+from ..files import writing
 from ..scene import Contact, Scene, scene_text
 from ..surfaces import Surface
 from ..theory.gain import Gain
 from ..theory.profile import Profile
-from ..writing import writing
 from .chunk import Failure, Item, Part, Run
 
 

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebint, chebvander
 
 from ..engine.binding import OTHER
+from ..files import writing
 from ..surfaces import KINDS, Surface
-from ..writing import writing
 from .equations import contact_functions
 from .lowering import OPERATIONS, Table, lowered
 
