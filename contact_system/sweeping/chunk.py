@@ -238,9 +238,9 @@ def joined(tables: list[np.ndarray]) -> np.ndarray:
         ) from None
 
 
-def a_failure(place: int, item: Item, error: BaseException) -> Failure:
+def a_failure(place: int, item: Item, error: BaseException, remedy: str = "") -> Failure:
     text, name = repr(item), getattr(item, "name", "")
     if isinstance(item, Scene):
         with contextlib.suppress(ContactSystemError):  # a surface that a file cannot hold
             text = scene_to_toml(item)
-    return Failure(place, str(name), f"{type(error).__name__}: {error}", text)
+    return Failure(place, str(name), f"{type(error).__name__}: {error}{remedy}", text)

@@ -14,6 +14,9 @@ from typing import Any
 from ..errors import ContactSystemError
 from .chunk import NOTHING, Chunk, Part, Run, a_failure, end_with
 
+GUARD = "sweep below if __name__ == '__main__'"
+LOST = f" Give workers more memory, and {GUARD}."
+
 
 def spread(
     chunks: Iterable[Chunk], run: Run, executor: Executor, ahead: int
@@ -34,8 +37,8 @@ def spread(
             if not broke or not isinstance(executor, futures.ProcessPoolExecutor):
                 raise ContactSystemError(
                     f"the executor {executor!r} takes no work ({error}); give one that is not "
-                    "shut down, and if it starts processes, sweep below if __name__ == "
-                    "'__main__'; with a folder, finished chunks are not done again"
+                    f"shut down, and if it starts processes, {GUARD}; with a folder, finished "
+                    "chunks are not done again"
                 ) from error
         names = ("_max_workers", "_mp_context", "_initializer", "_initargs")
         pools.append(futures.ProcessPoolExecutor(*(getattr(executor, name) for name in names)))
@@ -60,7 +63,9 @@ def spread(
         for pool in pools[1:]:
             pool.shutdown()
     for chunk, error in lost:
-        failures = [a_failure(*placed, error) for placed in enumerate(chunk.items, chunk.first)]
+        failures = [
+            a_failure(*placed, error, LOST) for placed in enumerate(chunk.items, chunk.first)
+        ]
         yield dataclasses.replace(chunk, file=None), Part(NOTHING, failures)
 
 
