@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -17,14 +17,17 @@ if TYPE_CHECKING:
 NOT_REGULAR = "it is a folder, a device or a pipe"
 
 
-def a_path(value: Any, what: str = "path") -> Path:
-    """The value as a Path; raises a SceneError if it does not name a file."""
+def a_path(value: Any, what: str = "path", endings: Sequence[str] = ()) -> Path:
+    """The value as a Path; raises a SceneError if it names no file, or has another ending."""
     try:
         path = os.fsdecode(value)
         os.fsencode(path)
     except (TypeError, UnicodeError):
         raise SceneError(f"{what} = {value!r:.80}: give a path that can name a file") from None
-    return Path(path)
+    found = Path(path)
+    if endings and found.suffix not in endings:
+        raise SceneError(f"{path}: unknown ending {found.suffix!r}; use {' or '.join(endings)}")
+    return found
 
 
 def make_folder(path: Path, remedy: str) -> Path:

@@ -371,10 +371,8 @@ class Plan:
         ChartSingularity
             At one of ``times``, as :meth:`states`.
         """
-        path = a_path(path)
+        path = a_path(path, endings=(".npz", ".csv"))
         t = self.regular_times(self.sample_times()) if times is None else self._times(times)
-        if path.suffix not in (".npz", ".csv"):
-            raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .npz or .csv")
         with writing(path, f"{self.scene.title}: ") as file:
             if path.suffix == ".csv":
                 file.write(self._csv(t).encode())

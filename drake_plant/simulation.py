@@ -18,7 +18,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 from scipy.interpolate import make_interp_spline
 
-from contact_system import ContactSystemError, Scene, SceneError, plan
+from contact_system import Scene, SceneError, plan
 from contact_system.checks import Array, finite_number, of_kind
 from contact_system.files import a_path, writing
 from contact_system.scene import scene_to_toml
@@ -89,9 +89,7 @@ class SimulationResult:
         ContactSystemError
             An unknown ending, or a file that cannot be written.
         """
-        path = a_path(path)
-        if path.suffix not in (".npz", ".csv"):
-            raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .npz or .csv")
+        path = a_path(path, endings=(".npz", ".csv"))
         with writing(path, f"{self.scene.title}: ") as file:
             if path.suffix == ".csv":
                 self._write_csv(file)
