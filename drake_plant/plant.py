@@ -399,7 +399,7 @@ def solid_inertia(
             return SpatialInertia(mass, np.zeros(3), central.get_unit_inertia())
     raise SceneError(
         f"{name}: {surface!r} does not bound a solid whose inertia could be computed; give a "
-        'closed one, or, without a hand, object = "welded" or "turning"'
+        'closed one, or, without a hand, [drake] object = "welded" or "turning"'
     )
 
 
