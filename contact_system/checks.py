@@ -184,10 +184,7 @@ def shaped_array(
 
 
 def rigid_motion(
-    pose: np.ndarray,
-    what: str,
-    noise: float,
-    error: type[ContactSystemError] = SceneError,
+    pose: np.ndarray, what: str, noise: float, error: type[ContactSystemError] = SceneError
 ) -> np.ndarray:
     """The pose (4, 4); raises the error if it is no rigid motion, such as a transposed matrix."""
     rotation, last = pose[:3, :3], pose[3] - [0, 0, 0, 1]

@@ -27,14 +27,7 @@ from . import __version__, plots
 from .checks import known_keys, naming
 from .errors import ContactSystemError, SceneError
 from .files import make_folder
-from .measures import (
-    REJECTED,
-    Rejection,
-    great_circle_distance,
-    is_dynamic,
-    overlaps,
-    rejections,
-)
+from .measures import REJECTED, Rejection, great_circle_distance, is_dynamic, overlaps, rejections
 from .plan import METHODS, Plan, plan
 from .scene import Scene, bundled_scenes, load_scene, save_scene
 from .scene.files import fields_of, refuse_degrees

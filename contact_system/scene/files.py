@@ -18,14 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import surfaces
-from ..checks import (
-    did_you_mean,
-    finite_number,
-    known_keys,
-    naming,
-    one_of,
-    within,
-)
+from ..checks import did_you_mean, finite_number, known_keys, naming, one_of, within
 from ..errors import ContactSystemError, SceneError
 from ..expressions import parse
 from ..files import a_path, require_regular, writing

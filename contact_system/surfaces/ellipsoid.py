@@ -14,18 +14,7 @@ from ..caching import cached_property
 from ..errors import SurfaceError
 from ..theory import symbols as ca
 from .base import OfLengths
-from .charts import (
-    TINY,
-    TURN,
-    Angle,
-    Chart,
-    Frame,
-    Pair,
-    choose,
-    fold_latitude,
-    hypot,
-    wrap_angle,
-)
+from .charts import TINY, TURN, Angle, Chart, Frame, Pair, choose, fold_latitude, hypot, wrap_angle
 from .sphere import PolarChart
 
 THINNEST = 1e-6
