@@ -76,7 +76,7 @@ def test_legs_are_saved_and_each_contact_follows_its_own_and_rests_after_them(tm
     custom = cs.Leg(0.1, None, 1.0, cs.Profile([0.0, 0.1, -0.1]))
     first = scene(OBJECTS["ellipsoid"], np.array([*LEGS, custom]), name="turns")
     cs.save_scene(first, tmp_path / "turns.toml")
-    assert cs.load_scene(tmp_path / "turns.toml") == first
+    assert cs.load_scene(tmp_path / "turns.toml") == first == eval(repr(first), dict(vars(cs)))
     straight = cs.Contact(cs.Sphere(0.04), (1.0, 0.3))
     contacts = [*first.contacts, straight]
     both = first.replace(contacts=contacts, profile=cs.Profile([0.05]), duration=5.0)

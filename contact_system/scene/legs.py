@@ -74,12 +74,13 @@ class Leg:
         else:
             put(self, "profile", STILL)
         arc = float(self.profile.arc_length(self.duration))
-        if self.length is not None and not math.isclose(arc, self.length, rel_tol=_JUMP):
+        if self.length is None:
+            put(self, "length", arc)
+        elif not math.isclose(arc, self.length, rel_tol=_JUMP):
             raise SceneError(
                 f"length = {self.length!r}: the profile has the length {arc!r} m in "
                 f"{self.duration:g} s; leave one of the two out, as None"
             )
-        put(self, "length", arc)
 
 
 class Stretch(NamedTuple):
