@@ -253,21 +253,21 @@ def test_paths_that_begin_on_or_beside_a_seam_stay_on_their_cover():
     assert np.abs(np.diff(plan.states(np.linspace(0.0, 0.1, 401))[2:, 0, 8])).max() < 0.1
 
 
-def test_coordinates_lose_no_turn_where_a_path_that_slips_goes_straight_through_a_pole():
-    rng, answered = np.random.default_rng(4), 0
+def test_coordinates_lose_no_turn_where_a_path_that_slips_goes_through_a_pole_or_around_it():
+    rng = np.random.default_rng(4)
+    # one that turns back around a pole
+    back = {"angle": pi, "finger_velocity": (-1.0, 0.05), "object_velocity": (-2.6, -0.05)}
+    plans = [cs.plan(alone(cs.Sphere(0.1), (0.009, 1.0), gain=cs.Gain.time(140.0), **back))]
     for k in range(60):
         body = cs.Sphere(0.1) if k % 2 else cs.Ellipsoid(0.1, 0.1, 0.07)
         at, profile = (rng.uniform(0.4, 2.6), rng.uniform(-3, 3)), (rng.uniform(0.3, 1.0),)
         along = {"finger_velocity": (-1.0, 0.0), "object_velocity": (0.6, 0.0)}
         gain = cs.Gain.path(10.0 ** rng.uniform(0, 4))
         scene = alone(body, at, profile, finger_at=(1.3, 0.2), gain=gain, **along)
-        with contextlib.suppress(cs.ChartSingularity):  # a time at a pole
-            states = cs.plan(scene, tolerance=10.0 ** rng.uniform(-13, -6)).states(
-                np.linspace(0.0, 1.0, 701)
-            )
-            assert np.abs(np.diff(states[:, 0, [1, 5]], axis=0)).max() < 3.2
-            answered += 1
-    assert answered > 50  # of 60
+        plans.append(cs.plan(scene, tolerance=10.0 ** rng.uniform(-13, -6)))
+    for plan in plans:
+        states = plan.states(np.linspace(0.0, 1.0, 701), gaps=True)[:, 0, [1, 5]]
+        assert np.nanmax(np.abs(np.diff(states, axis=0))) < 3.2
 
 
 @pytest.mark.parametrize("aside", [1e-2, 1e-8, 1e-11])
