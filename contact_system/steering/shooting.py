@@ -124,10 +124,15 @@ class Search:
             longest = float(self.shortest()[1][0]) + 4 * math.pi * size
             longest *= 1 + 1e-12  # on a sphere it is just met
         reach = np.minimum(2 * self.pairs.chord, longest)
+        # a b that is close to a lies before the first sample of rays: the chord finds it, and,
+        # as it is aimed alone, lines straight through a pole of a chart
+        direct = self.within_reach(only, *self.chords(only), np.full(1, longest))
         while True:
-            # a b that is close to a lies before the first sample of rays: the chord finds it
-            both = zip(self.fan(only, reach), (only, *self.chords(only), reach))
-            _, phi, s, j = self.within_reach(*map(np.concatenate, both))
+            both = (
+                self.within_reach(*self.fan(only, reach)),
+                [w[direct[2] <= reach] for w in direct],
+            )
+            _, phi, s, j = map(np.concatenate, zip(*both))
             kept: list[int] = []
             for i in np.argsort(s):
                 # several aims may find the same geodesic
