@@ -422,13 +422,15 @@ BALL = cs.ParametricSurface(
     ("r*sin(u)*cos(v)", "r*sin(u)*sin(v)", "r*cos(u)"), parameters={"r": 0.1}, size=0.1
 )
 CONE = cs.ParametricSurface(("v*cos(u)", "v*sin(u)", "-v"), size=0.1)
+TANGENTS = cs.ParametricSurface(("cos(u) - v*sin(u)", "sin(u) + v*cos(u)", "(u + v)/2"))
 
 
-def test_path_straight_through_the_tip_of_a_cone_is_refused():
+def test_path_through_the_tip_of_a_cone_or_the_edge_of_a_helixs_tangents_is_refused():
     aside, up = (alone(CONE, (0.2, 0.05), finger_velocity=w) for w in ((1.0, 0.0), (0.0, 1.0)))
     assert np.isfinite(cs.plan(aside).pose([0.1])).all()
-    with pytest.raises(cs.ContactSystemError, match=r"contact 0: .* \(u, v\) = \("):
-        cs.plan(up)
+    for scene in (up, alone(TANGENTS, (0.2, 0.7), (1.0,), angle=1.5, finger_velocity=(1.0, 0.3))):
+        with pytest.raises(cs.ContactSystemError, match=r"contact 0: .* \(u, v\) = \("):
+            cs.plan(scene, 1e-6)
 
 
 def rolled_over(obj: cs.Surface, u: float, profile=(0.1,), v=0.0) -> cs.Scene:

@@ -6,6 +6,9 @@
 /* dot product of unit normals at neighbouring places, below which one has changed its sign; they
    may differ by 45 degrees besides */
 static const double TURNED_OVER = -0.7;
+/* Part of a panel in which no surface turns so far. On a shorter one, beside an edge where f_u and
+   f_v align, normals are rounding alone, and may seem to turn smoothly. */
+static const double SHARPEST = 1e-4;
 
 /* Normals at places xi of a panel, and u v theta there */
 static void normals(work_t *w, const track_t *k, int64_t panel, const double *xi, lanes_t place,
@@ -31,7 +34,7 @@ static void check_part(work_t *w, const track_t *k, int64_t panel, double low, d
   for (int i = 0; i < L; i++) {
     const double turned = n[i][0] * before[0] + n[i][1] * before[1] + n[i][2] * before[2];
     if (!(turned > TURNED_OVER)) {
-      if (i == 0 || high - low < 1e-14) {
+      if (i == 0 || high - low < SHARPEST) {
         failure_t *e = w->failure;
         e->side = k->body->side, e->u = place[0][i], e->v = place[1][i];
         fail(w, SINGULAR_CHART);
