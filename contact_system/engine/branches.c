@@ -122,15 +122,17 @@ static int may_cross(const double *x, const double *y) {
   return fall > 0.0 && rise > 0.0 && sign * (y[1] / fall + y[2] / rise) < 0.5;
 }
 
-/* Whether a path turns back between two places: its chords at both ends, unless as short as
-   rounding, are opposite. Around a pole, theta may then change by nearly a whole turn. */
-static int turns_back(const track_t *k, double from, double to) {
-  const double part = 1e-2 * (to - from), shortest = LOST * k->body->size;
+/* Whether a path turns back beside a pole in a step to a place with coordinates z: its chords at
+   both ends, unless as short as rounding, are opposite. Around the pole theta may then change by
+   nearly a whole turn. The rates are those at a speed of 1. */
+static int turns_back(const track_t *k, double from, double to, const double *z) {
+  const double size = k->body->size, part = 1e-2 * (to - from), far = 3.0 / size;
   double x[L], at[3][L], along = 0.0;
+  if (k->kind == CIRCLE || k->by_length || z[DU] * z[DU] + z[DV] * z[DV] < far * far) return 0;
   gather(x, (double[4]){from, from + part, to - part, to}, 4);
   panels_at(&k->panels, 0, 3, x, at);
   for (int r = 0; r < 3; r++) along += (at[r][1] - at[r][0]) * (at[r][3] - at[r][2]);
-  return along < -shortest * shortest;
+  return along < -LOST * LOST * size * size;
 }
 
 /* Adds anchors at places x of a path, except at the last place, which only shows how y goes on.
@@ -154,7 +156,7 @@ static void add_anchors(work_t *w, const track_t *k, const double *x, int64_t *n
       const double places[4] = {at[before], last, x[i], x[i + 1]};
       const int crosses = may_cross(places, (double[4]){a[before].y, y0, y[i], y[i + 1]});
       const int swings = fabs(own[THETA] - a[-1].place[2]) > 0.25 * TURN;
-      const int unclear = crosses || swings || (k->may_turn_back && turns_back(k, last, x[i]));
+      const int unclear = crosses || swings || turns_back(k, last, x[i], own);
       if (unclear && last + step / (L - 1) > last) {
         const double middle = last + step * (y0 * y[i] < 0.0 ? y0 / (y0 - y[i]) : 0.5);
         for (int j = 0; j < L; j++) {

@@ -160,7 +160,6 @@ static double develop(course_t *c, const drive_t *d, const double *offset, doubl
   motion_t m = add_motion(c, 1, d, reason_of(c, offset), UNDISTURBED, offset);
   memcpy(m.v, c->v, sizeof m.v);
   m.slip = norm(c->v), m.finish = any(offset) ? 0.0 : negligible;
-  m.track->may_turn_back = m.slip > norm(c->w2);
   m.first = first_time(d, m.length, b);
   return integrate_motion(c, &m)->stop;
 }

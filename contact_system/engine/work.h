@@ -47,8 +47,7 @@ typedef struct {
   const body_t *body;
   double stop; /* s; it starts where its drive does */
   int64_t kind, by_length, reason;
-  int in_space;      /* else in the chart */
-  int may_turn_back; /* slip is so great that the contact's velocity may become opposite */
+  int in_space; /* else in the chart */
   const drive_t *drive;
   double w[2];                 /* W_1 or W_2 */
   const double *push, *offset; /* in chart components */
