@@ -97,17 +97,22 @@ def _given(scene: Scene, name: str, value: ArrayLike, shape: tuple[int, ...]) ->
     return shaped_array(value, f"{scene.title}: {name}", shape, ContactSystemError, finite=True)
 
 
-def probes_of(scene: Scene, tolerance: float = 1e-13) -> list[Probe]:
-    """A probe for each contact of a scene.
+def limits_of(scene: Scene, tolerance: float = 1e-13) -> Sensor:
+    """When Newton's method ends for a scene's contacts.
 
     tolerance : error of the contact points, as a fraction of the smallest body's size; from points
     that contact physics reports, Newton's steps shrink as 2e-3, 4e-6, 2e-11
     """
-    (obj, *fingers), sizes = scene.surfaces, [surface.size for surface in scene.surfaces]
+    sizes = [surface.size for surface in scene.surfaces]
     small = tolerance * min(sizes)
     # steps shrink quadratically: a step that stays above is rounding, as of a far larger body
     settled = max(SETTLED * small, 1e-15 * max(sizes))
-    limits = Sensor(small, MOST_STEPS, settled, CONFORMAL)
+    return Sensor(small, MOST_STEPS, settled, CONFORMAL)
+
+
+def probes_of(scene: Scene, tolerance: float = 1e-13) -> list[Probe]:
+    """A probe for each contact of a scene; tolerance: see `limits_of`."""
+    (obj, *fingers), limits = scene.surfaces, limits_of(scene, tolerance)
     return [Probe(finger, obj, limits) for finger in fingers]
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from contact_system import __version__
-from contact_system.contact_sensor import probes_of
+from contact_system.contact_sensor import limits_of
 from contact_system.engine.binding import N_TABLES, SURFACES, Sensor
 from contact_system.planning.motion import Buffer
 from contact_system.surfaces import Surface
@@ -76,7 +76,7 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
     for i, contact in enumerate(scene.contacts):
         orders += _orders(contact.finger, table.first[f"finger {i}"])
         corners |= {stretch.start for stretch in scene.way(i)[1:]}
-    limits = probes_of(scene)[0].limits if table.measured == "pose" else Sensor()
+    limits = limits_of(scene) if table.measured == "pose" else Sensor()
     starts = [group[0] for group in table.groups]
     owners = np.repeat([-1, *range(len(starts))], np.diff([0, *starts, len(rows)]))
     sizes = {v.reference: v.size for v in (table.joined if table.arrays else rows)}
