@@ -146,7 +146,7 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
 
     first = {key: add(variables) for key, variables in _parameters(scene).items()}
     system, groups = SceneSystem(scene, "frame", True), []
-    speed = scene.speeds(np.linspace(0.0, scene.duration, 33)).max() or None
+    speed = scene.speeds(np.linspace(0.0, scene.duration, 65)).max() or None
     for i, part in enumerate(system.state_slices):
         starts = system.x0[part]
         # as at sigma = 1: at sigma = 0 slip may be left out, but importers may start elsewhere
