@@ -22,7 +22,7 @@ import numpy as np
 from contact_system.contact_equations import Form, contact_function
 from contact_system.contact_sensor import measured_contact
 from contact_system.scene import SLOTS
-from contact_system.surfaces import TINY, Surface
+from contact_system.surfaces import SINGULAR, TINY, Surface
 from contact_system.theory import symbols as ca
 from contact_system.theory.development import in_space
 from contact_system.theory.gain import LAWS
@@ -96,9 +96,15 @@ def measured(finger: Surface, obj: Surface, what: str) -> Table:
         point = ca.SX.sym("states", 9)
         columns, roots = list[ca.SX](), list[ca.SX]()
         for s, uv in ((finger, point[0:2]), (obj, point[4:6])):
-            numbers = number_symbols(s)
-            columns += [numbers, ca.SX.sym("size")]
-            roots.append(ca.vec(s.geometry_expr(numbers, uv).metric_root))
+            numbers, size = number_symbols(s), ca.SX.sym("size")
+            at = s.geometry_expr(numbers, uv)
+            columns += [numbers, size]
+            valid = ca.fmin(at.metric_root[0, 0], at.metric_root[1, 1]) > SINGULAR * size
+            if s.has_implicit and None in s.periods():  # a chart like a sphere's has a range
+                k = s.periods().index(None)
+                off = s.coordinates_expr(numbers, at.point)[k] - uv[k]
+                valid = ca.logic_and(valid, ca.fabs(off) < 1e-9 * (1 + ca.norm_1(uv)))
+            roots.append(ca.if_else(valid, ca.vec(at.metric_root), np.nan))
         constants, result = ca.vertcat(*columns), ca.vertcat(0, 1, point, *roots)
     else:
         measurement, constants, *results = measured_contact(finger, obj)

@@ -92,16 +92,16 @@ def test_a_start_at_a_pole_or_with_its_frame_off_the_surface_is_refused(kind, ve
 
 
 @of_blocks
-@pytest.mark.parametrize("what", ["states", "pose"])
-def test_a_measurement_at_a_pole_or_without_a_contact_is_refused_and_ignored(what, kind, version):
+@pytest.mark.parametrize(("what", "u"), [("states", 0.0), ("states", -0.5), ("pose", None)])
+def test_a_measurement_off_the_chart_or_without_a_contact_is_ignored(what, u, kind, version):
     given = {"measured": what} | ({"eventModeUsed": True} if version == "3.0" else {})
     one, other = (Instance(K4, kind, version, **given).begin() for _ in range(2))
     for block in (one, other):
         if version == "3.0":
             block.own.enterStepMode()
         block.step(0.5)
-    at_pole = {"contact[2].measured.finger.u": 0.0} if what == "states" else {}
-    one.put(at_pole | {"contact[2].measured.trigger": 1.0})  # the pose is still that at the start
+    off = {} if u is None else {"contact[2].measured.finger.u": u}
+    one.put(off | {"contact[2].measured.trigger": 1.0})  # the pose is still that at the start
     one.refused(r"contact\[2\].*no step.*measure", one.step, 0.1)
     one.put({"contact[2].measured.trigger": 2.0})
     one.refused("no values", one.directional, ["der(contact[1].finger.u)"], [PUSH], [1.0])

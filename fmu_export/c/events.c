@@ -70,10 +70,7 @@ static const char *find_measured(component_t *c, long i, const double **found) {
   if (!(y[0] <= limit->settled))
     return "near its planned place no common normal of the surfaces is found at the measured pose; "
            "give X_OF, the finger's frame in the object's, or resynchronise sooner";
-  return all_finite(*found, N_STATES)
-             ? NULL
-             : "it is measured at a pole or an umbilic of a chart, where there is no contact "
-               "frame; measure a moment later";
+  return NULL;
 }
 
 /* Lets segment s of contact i begin now at these states; root: M_1 and M_2, column by column. */
@@ -85,12 +82,12 @@ static const char *restart_at_states(component_t *c, long i, segment_t *s, const
   for (int side = 0; side < 2; side++, root += 4) {
     const double *offset = acting + 4; /* in the object's rates, but not in its path velocity */
     const double du = x[4 * side + 2] - side * offset[0], dv = x[4 * side + 3] - side * offset[1];
-    const int framed = fmin(root[0], root[3]) > 1e-12 * body_of(c->model, i, side)[B_SIZE];
-    for (int a = 0; a < 2; a++)
-      path[side][a] = framed ? (root[a] * du + root[2 + a] * dv) / sigma : NAN;
+    for (int a = 0; a < 2; a++) path[side][a] = (root[a] * du + root[2 + a] * dv) / sigma;
   }
   if (!all_finite(path[0], 4))
-    return "it is measured at a singular point of a chart; measure a moment later";
+    return "it is measured at a pole or an umbilic of a chart, where there is no contact frame, or "
+           "outside the chart, as at u < 0 of a sphere; measure a moment later, or in principal "
+           "values";
   memset(to, 0, sizeof s->row);
   memcpy(to + K_PLACE_1, x + U1, 2 * sizeof *x), memcpy(to + K_PLACE_2, x + U2, 2 * sizeof *x);
   /* the finger's frame is turned by -psi, so that R_0 = diag(1, -1) as in the equations */
@@ -149,7 +146,6 @@ static status_t settle(component_t *c, double target) {
       if (fresh) {
         const char *wrong;
         UNTRAPPED(wrong = restart_at_measurement(c, i, s));
-        c->failure = (failure_t){.code = STUCK};
         if (wrong) return refuse_motion(c, DISCARD, i, target, wrong);
       } else if (plan_to(c, i, at) || restart_segment(c, c->live[i].plan, time_on(c, i), s)) {
         return refuse_motion(c, DISCARD, i, target, NULL);

@@ -151,10 +151,10 @@ static int plan_to(component_t *c, long i, double target) {
 /* Logs why there is no plan to time t: `why` or, if that is NULL, the engine's failure. */
 static status_t refuse_motion(component_t *c, status_t status, long i, double t, const char *why) {
   const failure_t *f = &c->failure;
-  const char *side = f->side ? "object" : "finger";
+  const char *side = why ? "" : f->side ? ".object" : ".finger"; /* of the engine's failure */
   const char *what = t > c->now->time ? "step to" : "values at";
   char where[160] = "";
-  if (f->code == STUCK && !f->by_length && f->t > 0)
+  if (!why && f->code == STUCK && !f->by_length && f->t > 0)
     snprintf(where, sizeof where, ", at t = %.9g s", f->t);
   if (!why)
     why = f->code == NO_MEMORY            ? "there is no memory"
@@ -166,6 +166,6 @@ static status_t refuse_motion(component_t *c, status_t status, long i, double t,
                 "steps"
               : "the path reaches a singular point of its chart or its surface, or moves too fast "
                 "for double precision; set smaller inputs, end before or start elsewhere";
-  return report(c, status, "contact[%ld].%s: no %s t = %.17g s%s: %s", i + 1, side, what, t, where,
+  return report(c, status, "contact[%ld]%s: no %s t = %.17g s%s: %s", i + 1, side, what, t, where,
                 why);
 }
