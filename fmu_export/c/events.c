@@ -109,6 +109,7 @@ static const char *restart_at_measurement(component_t *c, long i, segment_t *s) 
   /* the plan gives the coordinates' turn and branch, and where the search for the contact begins */
   const int by_plan = !plan_to(c, i, c->now->acts_at) &&
                       !evaluate(c, i, time_on(c, i), BIT(OF_COORDINATES) | BIT(OF_POINTS));
+  if (!by_plan && c->failure.code == NO_MEMORY) return "there is no memory";
   if (posed && !by_plan) return "its plan has no coordinates there; measure a moment later";
   const char *wrong = find_measured(c, i, &found);
   if (wrong) return wrong;

@@ -16,8 +16,11 @@ static status_t refresh(component_t *c, long i, int group) {
   } else {
     /* at a pole or an umbilic, the values of a moment before are given */
     const double t = time_on(c, i), before = t - 1e-8 * (t - c->segment[i].begin);
-    if (evaluate(c, i, t, BIT(group)) && evaluate(c, i, before, BIT(group)))
-      for (double *x = values_of(c, i, group); x < values_of(c, i, group + 1); x++) *x = NAN;
+    const int none = evaluate(c, i, t, BIT(group)) &&
+                     (c->failure.code == NO_MEMORY || evaluate(c, i, before, BIT(group)));
+    if (none && c->failure.code == NO_MEMORY)
+      return refuse_motion(c, DISCARD, i, c->now->time, NULL);
+    for (double *x = values_of(c, i, group); none && x < values_of(c, i, group + 1); x++) *x = NAN;
   }
   k->valid |= from_states ? BIT(GROUPS) - 1 : BIT(group);
   return OK;
