@@ -45,14 +45,13 @@ enum { TRIGGER, MEASURED }; /* offsets in the group OF_MEASURED */
 /* Finds the states of contact i at the measured pose, by Newton's method from its planned place; or
    takes the states that are measured, with a table of no unknowns. found: states; M_1 and M_2,
    column by column. */
-static const char *find_measured(component_t *c, long i, const double **found) {
+static const char *find_measured(component_t *c, long i, double **found) {
   const contact_t *k = c->model->contacts + i;
   const sensor_t *limit = data_at(c->model, c->model->head->sensor);
   const table_t *t = c->model->tables + k->sensor;
   double *next = c->scratch, body[BODY_SIZE];
   for (int side = 0; side < 2; side++) put_body(c, i, side, &next, body), *next++ = body[B_SIZE];
-  double *r = load_table(c, t), *x = r;
-  const double *y = r + t->first_out;
+  double *r = load_table(c, t), *x = r, *y = r + t->first_out;
   for (int side = 0; side < 2; side++) {
     const size_t n = (size_t)k->unknowns[side];
     const double *planned =
@@ -73,10 +72,9 @@ static const char *find_measured(component_t *c, long i, const double **found) {
   return NULL;
 }
 
-/* Lets segment s of contact i begin now at these states; root: M_1 and M_2, column by column. */
-static const char *restart_at_states(component_t *c, long i, segment_t *s, const double x[N_STATES],
-                                     const double *root) {
-  const double sigma = sigma_now(c, i);
+/* Lets segment s of contact i begin now at these states, behind which are M_1 and M_2. */
+static const char *restart_at_states(component_t *c, long i, segment_t *s, const double *x) {
+  const double sigma = sigma_now(c, i), *root = x + N_STATES;
   double acting[DISTURBANCES], path[2][2], *to = s->row;
   acting_on(c, i, acting);
   for (int side = 0; side < 2; side++, root += 4) {
@@ -102,8 +100,8 @@ static const char *restart_at_states(component_t *c, long i, segment_t *s, const
 /* Lets segment s of contact i begin where it is measured. */
 static const char *restart_at_measurement(component_t *c, long i, segment_t *s) {
   const int posed = c->model->contacts[i].unknowns[0] > 0;
-  const double *planned = values_of(c, i, OF_COORDINATES), *found;
-  double x[N_STATES];
+  const double *planned = values_of(c, i, OF_COORDINATES);
+  double *x;
   if (!(sigma_now(c, i) > 0))
     return "sigma is zero, so that rates do not determine path velocities; measure while sigma > 0";
   /* the plan gives the coordinates' turn and branch, and where the search for the contact begins */
@@ -111,16 +109,15 @@ static const char *restart_at_measurement(component_t *c, long i, segment_t *s) 
                       !evaluate(c, i, time_on(c, i), BIT(OF_COORDINATES) | BIT(OF_POINTS));
   if (!by_plan && c->failure.code == NO_MEMORY) return "there is no memory";
   if (posed && !by_plan) return "its plan has no coordinates there; measure a moment later";
-  const char *wrong = find_measured(c, i, &found);
+  const char *wrong = find_measured(c, i, &x);
   if (wrong) return wrong;
-  memcpy(x, found, sizeof x);
   for (int side = 0; side < 2 && by_plan; side++) {
     double *own = x + 4 * side, place[5] = {own[0], own[1], own[2], own[3], x[PSI]};
     const double beside[3] = {planned[4 * side], planned[4 * side + 1], planned[PSI]};
     c->engine->wind(surface_of(c->model, i, side), beside, place);
     memcpy(own, place, 4 * sizeof *own), x[PSI] = place[4];
   }
-  return restart_at_states(c, i, s, x, found + N_STATES);
+  return restart_at_states(c, i, s, x);
 }
 
 /* If results come from plans, begins a new segment of each contact whose inputs, gain or
