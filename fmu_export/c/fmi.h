@@ -90,7 +90,7 @@ static component_t *instantiate(const char *called, const char *name, const char
   if (name) strncpy(c->name, name, sizeof c->name - 1);
   const char *wrong = name && *name ? make_component(c, resources) : "the instance has no name";
   if (!wrong && (!token || strcmp(token, token_of(c->model))))
-    wrong = "the " TOKEN " is another model's";
+    wrong = "the " TOKEN " is another model's; give that of this FMU's modelDescription.xml";
   if (wrong) {
     report(c, FAILED, "%s", wrong);
     free_component(c);
@@ -388,7 +388,7 @@ EXPORT status_t FMI(CompletedIntegratorStep)(void *instance, BOOLEAN no_return,
 
 EXPORT status_t FMI(SetTime)(void *instance, double time) {
   EXCHANGE_ONLY(EVENT | CONTINUOUS);
-  if (!(fabs(time) < 1e300)) REFUSE("t = %g s is refused", time);
+  if (!(fabs(time) < 1e300)) REFUSE("t = %g s is refused; give a finite number", time);
   set_time(c, time);
   return OK;
 }

@@ -64,7 +64,7 @@ static status_t start(component_t *c) {
     const char *wrong = place_contact(c, i);
     if (wrong)
       REFUSE(
-          "contact %ld cannot start: %s; change its start values or the parameters of the surface",
+          "contact[%ld] cannot start: %s; change its start values or the parameters of the surface",
           i + 1, wrong);
     if (now->stepping && plan_to(c, i, now->time))
       return refuse_motion(c, FAILED, i, now->time, NULL);
