@@ -12,7 +12,7 @@ import numpy as np
 
 from contact_system import __version__
 from contact_system.contact_sensor import limits_of
-from contact_system.engine.binding import N_TABLES, SURFACES, Sensor
+from contact_system.engine.binding import N_TABLES, SURFACES
 from contact_system.planning.motion import Buffer
 from contact_system.surfaces import Surface
 from contact_system.surfaces.base import OfLengths
@@ -76,7 +76,6 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
     for i, contact in enumerate(scene.contacts):
         orders += _orders(contact.finger, table.first[f"finger {i}"])
         corners |= {stretch.start for stretch in scene.way(i)[1:]}
-    limits = limits_of(scene) if table.measured == "pose" else Sensor()
     starts = [group[0] for group in table.groups]
     owners = np.repeat([-1, *range(len(starts))], np.diff([0, *starts, len(rows)]))
     sizes = {v.reference: v.size for v in (table.joined if table.arrays else rows)}
@@ -96,7 +95,7 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
         *(max(registers), data.texts(*(v.name for v in rows))),
         data.doubles(table.start_values),
         data.doubles([-np.inf if v.minimum is None else v.minimum for v in rows]),
-        *(data.doubles([rows[r].nominal for r in table.states]), data.put(bytes(limits))),
+        *(data.doubles([rows[r].nominal for r in table.states]), data.put(bytes(limits_of(scene)))),
         *(data.put(engine.numbers), len(engine.numbers) // 8),
         *(*data.rows(values), *data.rows(contacts), *data.rows(surfaces, _SURFACE)),
         *data.rows([data.instructions(t) for t in data.tables], _TABLE),
