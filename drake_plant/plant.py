@@ -206,8 +206,6 @@ def _add(
             time_step=config.time_step,
             contact_model=config.contact_model,
             discrete_contact_approximation=config.discrete_contact_approximation,
-            # Ports report the contacts of the last step, so that reading them costs no new query.
-            use_sampled_output_ports=bool(config.time_step > 0),
         ),
         builder,
     )
