@@ -392,10 +392,11 @@ def _rolling(
 ) -> dict[str, Any]:
     """Fields of a ContactReport: forces, at `steady` times or all, and slip at `early` ones."""
     t, before, time = result.t, early & (result.t >= EDGE), durations(result)
-    normal, friction, limit = _forces(result, i)
+    normal, used = (result.measured[key][:, i] for key in ("normal_force", "friction_used"))
+    friction = np.linalg.norm(result.measured["tangential_force"][:, i], axis=1)
     mean = _mean(normal[steady], time[steady])
     usual = mean if steady.any() else _mean(normal[normal > 0], time[normal > 0])
-    pressed = (normal > 0.5 * usual) & (limit > 0)
+    pressed = (normal > 0.5 * usual) & np.isfinite(used)
     slip, of_plan = (
         np.linalg.norm(logs["slip"][:, i], axis=1) for logs in (result.measured, result.planned)
     )
@@ -408,7 +409,7 @@ def _rolling(
         "normal_mean": mean,
         "normal_deviation": _mean((normal[steady] - mean) ** 2, time[steady]) ** 0.5,
         "friction_peak": float(friction.max()),
-        "friction_ratio": _greatest(friction[pressed] / limit[pressed]),
+        "friction_ratio": _greatest(used[pressed]),
         "planned_slip": _greatest(of_plan[early]),
         "plan_slips": float((early & slips) @ time),
         "rolling_friction": _mean(friction[before & ~slips], time[before & ~slips]),
@@ -440,14 +441,12 @@ def _rejection(
     first, last = np.maximum(np.searchsorted(t, (start + later, stop + later)), 1)
     # A disturbance may fall between two rows: the row after it counts too.
     during, seen = slice(first, max(last, first + 1)), slice(first, last + 1)
-    normal, friction, limit = _forces(result, i)
-    # Without a normal force or friction there is no limit to reach.
-    at_limit = (friction >= SATURATED * limit) & (limit > 0)
+    normal, used = (result.measured[key][:, i] for key in ("normal_force", "friction_used"))
     time = durations(result)[during]
     mean = _mean(slip[during], time)
     level = np.fmax(REJECTED * mean, before)
-    sliding = (slip > np.fmax(SLIDING * before, CREEPING)) & (normal > 0)
-    slid = bool((at_limit | sliding)[seen].any())
+    at_limit, sliding = used >= SATURATED, slip > np.fmax(SLIDING * before, CREEPING)
+    slid = bool((at_limit | sliding & (normal > 0))[seen].any())
     until = begins[begins >= stop].min(initial=t[-1])
     followed = t <= until
     return {
@@ -458,12 +457,6 @@ def _rejection(
         "followed": float(until - stop),
         "reported": result.scene.paper.get("recovery_time", math.nan),
     }
-
-
-def _forces(result: SimulationResult, i: int) -> tuple[Array, Array, Array]:
-    """Normal force, size of the tangential force and its limit of one contact, (m,) each, N."""
-    normal, across = (result.measured[f"{name}_force"][:, i] for name in ("normal", "tangential"))
-    return normal, np.linalg.norm(across, axis=1), result.config.friction * normal
 
 
 def _mean(values: NDArray[Any], durations: Array) -> float:
