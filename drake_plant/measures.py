@@ -153,7 +153,8 @@ class ObjectReport:
         Greatest distance and angle from where it began [m], [rad].
     carried : float
         Part of its weight that is balanced, at most 1: 1 + a/g, a the mean upward acceleration in
-        the last 0.5 s, less that of its path in a hand; NaN without gravity, or if it is not free.
+        the last 0.5 s, less that of its path in a hand; NaN without gravity, if it is not free, or
+        in less than 0.02 s.
     """
 
     moved: float
@@ -253,7 +254,7 @@ def object_report(result: SimulationResult) -> ObjectReport:
     poses = result.object_pose
     path = poses[:, :3, 3] - poses[0, :3, 3]
     config, carried = result.config, math.nan
-    if config.gravity and config.object == "free":
+    if config.gravity and config.object == "free" and np.ptp(result.t) >= 2 * MOMENT:
         carried = min(1.0, 1 + _acceleration(result) / config.gravity)
     farthest, most = np.linalg.norm(path, axis=1).max(), angles_between(poses, poses[0]).max()
     return ObjectReport(float(farthest), float(most), float(carried))
@@ -269,11 +270,10 @@ def _acceleration(result: SimulationResult) -> float:
     """The object's mean upward acceleration in the last `LATELY`, m/s^2. It follows from two
     speeds, so pushes cancel out from which the object has come back."""
     end, time = result.t[-1], min(LATELY, result.t[-1] - result.t[0])
-    moment = min(MOMENT, time / 2)
     wanted = getattr(result, "wanted_pose", result.object_pose[:1])
-    marks = end - np.array([time, time - moment, moment, 0.0])
+    marks = end - np.array([time, time - MOMENT, MOMENT, 0.0])
     z = np.interp(marks, result.t, result.object_pose[:, 2, 3] - wanted[:, 2, 3])
-    return float((z[3] - z[2] - z[1] + z[0]) / moment / (time - moment))
+    return float((z[3] - z[2] - z[1] + z[0]) / MOMENT / (time - MOMENT))
 
 
 def push_table(result: SimulationResult) -> list[PushReport]:
