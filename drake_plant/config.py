@@ -114,7 +114,7 @@ class StationConfig:
     discrete_contact_approximation : str
         "sap", "lagged" or "similar". "lagged" is faster and as accurate while fingers roll, but its
         friction is too small where one slides in fast rolling: in D1 0.88 mu N at steps of 1 ms,
-        0.74 mu N at 1.5 ms.
+        0.74 mu N at 1.5 ms; in D4 0.67 mu N at 2 ms, too little for `slip_gain` to act.
     object : str
         "free"; "welded" to the world; "turning" as the scene prescribes it.
     object_mass : float
