@@ -59,9 +59,6 @@ class PlanSource(PlannerBase, LeafSystem):
         self.plan = plan
         self._Declare(scene_system(plan.scene, "frame"), None, None)
 
-    def _Prerequisites(self, *outputs: str) -> set:
-        return {self.time_ticket()}
-
     def _Parts(self, context: Any, *outputs: str) -> list[Array]:
         t, names = context.get_time(), [name for name in outputs if name in PLANNED]
         results = self.plan.evaluate(t, *(PLANNED[name] for name in names)) if names else {}

@@ -75,6 +75,7 @@ class PlannerBase(_System):
             self.DeclarePeriodicUnrestrictedUpdateEvent(FOREVER, edge, weakly(self._Turn, edge))
         if system.disturbance_input:
             self._disturbance = self.DeclareVectorInputPort("disturbance", 6 * n)
+            self._fed_through |= {name for name in PORTS if "w" in system.depends(name)}
         if period is not None:
             self._measured = self.DeclareVectorInputPort("measured_state", 9 * n)
             self._restarts = self.DeclareDiscreteState(BasicVector_[self.T](np.zeros(n)))
@@ -128,17 +129,13 @@ class PlannerBase(_System):
         return x.CopyToVector().ravel(), held
 
     def _Prerequisites(self, *outputs: str) -> set:
-        """Tickets of what outputs depend on, by the sparsity of their functions."""
-        needs = {output: self.system.depends(output) for output in outputs}
-        self._fed_through |= {output for output in outputs if "w" in needs[output]}
-        inputs = set().union(*needs.values())
-        tickets = {"t": self.time_ticket(), "x": self.xc_ticket(), "w": self.time_ticket()}
-        found = {ticket for name, ticket in tickets.items() if name in inputs}
-        if "held" in inputs and self._held is not None:
+        """Tickets of what outputs depend on."""
+        found = {self.time_ticket(), self.xc_ticket()}
+        if self._held is not None:
             found.add(self.discrete_state_ticket(self._held))
-        if "w" in inputs and self._disturbance is not None:
+        if not self._fed_through.isdisjoint(outputs):
             found.add(self.input_port_ticket(self._disturbance.get_index()))
-        return found or {self.nothing_ticket()}
+        return found
 
     def _Acting(self, context: Any, *outputs: str) -> list[Any]:
         """The disturbances that act now, from windows and the port, (n_w,).
