@@ -64,7 +64,8 @@ TOLERANCE = 1e-7
 MEASURED = {"slip": 2, "normal_force": 1, "tangential_force": 2, "state": 9, "contact_point": 3}
 """Numbers of each contact; the first three are those of the step that ended now."""
 COLUMNS = slices(MEASURED)
-MOTION_INPUTS = {"X_WO": 12, "V_WO": 6, "X_WF": 12, "V_WF": 6, "point": 3, "force": 3, "torque": 3}
+MOTION_INPUTS = {"X_WO": 12, "V_WO": 6, "A_WO": 6, "X_WF": 12, "V_WF": 6, "A_WF": 6}
+MOTION_INPUTS |= {"point": 3, "force": 3, "torque": 3}
 """What Drake tells of a contact, in the world: motion of both bodies, the point C where the contact
 force on the finger acts, this force, and its torque about C."""
 THEN, IN_F, IN_O, LOAD, NOW = slice(18), slice(18, 21), slice(21, 24), slice(21, 30), slice(30, 48)
@@ -91,6 +92,7 @@ class ContactMonitor(LeafSystem):
         - contact_results
         - body_poses
         - body_spatial_velocities
+        - body_spatial_accelerations (optional)
         - noise (optional)
         output_ports:
         - state
@@ -100,11 +102,12 @@ class ContactMonitor(LeafSystem):
         - contact_point
         - sliding
 
-    The first three inputs are the plant's; `noise` (9n) is added to `state`, and so to `sliding`,
+    The first four inputs are the plant's; `noise` (9n) is added to `state`, and so to `sliding`,
     which follows from it. With a discrete plant slip and forces are those of the step that has just
     ended, state and contact point those of now. Without sampled output ports Drake reports the step
-    that begins instead: then all are those of now, as with a continuous plant. The outputs, for n
-    contacts in the scene's order, in SI units:
+    that begins instead: then all are those of now, as with a continuous plant. Rates of the state
+    are those of half a step ago, as the plant's velocities are, unless sampled accelerations are
+    connected. The outputs, for n contacts in the scene's order, in SI units:
 
     * `state` (9n) holds u1 v1 du1 dv1 u2 v2 du2 dv2 psi in principal values, for the planner's
       `measured_state`; its rates fulfil ``R_psi M1 q1' - M2 q2' = v_rel`` with the measured slip;
@@ -173,8 +176,9 @@ class ContactMonitor(LeafSystem):
                 self._pairs[of_finger.get_value(), of_object.get_value()] = i, False
         step = plant.time_step() if plant.has_sampled_output_ports() else 0.0
         self._gauges = per_thread(lambda: ContactGauges(scene, step))
-        inputs = declare_plant_inputs(self, plant, "contact_results", *MOTIONS)
-        self._results, self._poses, self._velocities = inputs
+        names = "contact_results", *MOTIONS, "body_spatial_accelerations"
+        inputs = declare_plant_inputs(self, plant, *names)
+        self._results, self._poses, self._velocities, self._accelerations = inputs
         self._noise = self.DeclareVectorInputPort("noise", 9 * n)
         tickets = [port.ticket() for port in inputs]
         shape = n, sum(MEASURED.values())
@@ -209,7 +213,8 @@ class ContactMonitor(LeafSystem):
     def _CalcMeasured(self, context: Context) -> Array:
         results, gauges = self._results.Eval(context), self._gauges()
         X_W, V_W = self._poses.Eval(context), self._velocities.Eval(context)
-        gauges.begin(X_W, V_W, self._object, self._fingers)
+        A_W = self._accelerations.Eval(context) if self._accelerations.HasValue(context) else None
+        gauges.begin(X_W, V_W, A_W, self._object, self._fingers)
         for k in range(results.num_hydroelastic_contacts()):
             info = results.hydroelastic_contact_info(k)
             patch = info.contact_surface()
@@ -274,9 +279,12 @@ class ContactGauges:
         x = self._motions.x
         self._acting = [*zip(x["point"], x["force"], x["torque"])]
 
-    def begin(self, X_W: Any, V_W: Any, obj: int, fingers: list[int]) -> None:
+    def begin(self, X_W: Any, V_W: Any, A_W: Any, obj: int, fingers: list[int]) -> None:
         """Set the motion of the bodies, from Drake's lists of all bodies, without any contact."""
         self._motions.put(X_W, V_W, obj, fingers)
+        if A_W is not None:
+            self._motions.x["A_WO"][:] = A_W[obj].get_coeffs()
+            self._motions.x["A_WF"][:] = [A_W[body].get_coeffs() for body in fingers]
         # of each contact: the sum of the sizes of its forces, and the means of share and k_share
         self._sums = [(0.0, 0.0, 0.0)] * len(self._probes)
 
@@ -332,10 +340,14 @@ def _motion() -> Table:
     """Table: `MOTION_INPUTS`; step -> X_OF (12), V_OF_O (6), C in F, C in O, force and torque in O,
     when the step that has just ended began; X_OF, V_OF_O of now.
 
-    A discrete plant has moved the bodies from there with the velocities that they have now.
+    A discrete plant has moved the bodies from there with the velocities that it reports, which so
+    are those of half a step ago.
     """
     (row, x), step = named(MOTION_INPUTS), ca.SX.sym("step")
-    found = ca.vertcat(_in_object(x, -step), _in_object(x, ca.SX(0))[:18])
+    then = _in_object(x, -step)
+    x.w_WO, x.v_WO = x.w_WO + step / 2 * x.alpha_WO, x.v_WO + step / 2 * x.a_WO
+    x.w_WF, x.v_WF = x.w_WF + step / 2 * x.alpha_WF, x.v_WF + step / 2 * x.a_WF
+    found = ca.vertcat(then, _in_object(x, ca.SX(0))[:18])
     return Table(ca.Function("motion", [row, step], [ca.densify(found)]))
 
 

@@ -163,6 +163,8 @@ def _add_monitor(
     """Add the monitor; connect the driver's port `push` to the given pushes, or export it."""
     monitor = builder.AddNamedSystem("monitor", ContactMonitor(planned, parts))
     wire(builder, parts.plant, monitor, "contact_results", *MOTIONS)
+    if parts.config.time_step:
+        wire(builder, parts.plant, monitor, "body_spatial_accelerations")
     config, port = parts.config, driver.GetInputPort("push")
     if config.slip_gain:
         wire(builder, monitor, driver, "sliding")
