@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -262,7 +261,14 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     SceneError
         Not a station, or a planner with other surfaces, sizes or contacts than the driver has.
     """
-    planner, driver, plant = _systems(station)
+    names = "planner", "driver", "plant"
+    if not isinstance(station, Diagram) or not all(map(station.HasSubsystemNamed, names)):
+        raise SceneError(
+            f"station = {station!r}: give what BuildStation made, or a Diagram of your own whose "
+            "ContactPlanner, FingertipDriver and MultibodyPlant are named 'planner', 'driver' and "
+            "'plant'; of a Diagram that contains it give the station, and the Diagram's context"
+        )
+    planner, driver, plant = map(station.GetSubsystemByName, names)
     require_alike(planner.system.scene, driver.scene, driver.config, "planner")
     try:
         now = planner.GetMyContextFromRoot(context)
@@ -298,18 +304,6 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     # Reset the plant's sampled outputs, which SetDefaultContext leaves as they were.
     sampled = plant.CreateDefaultContext().get_abstract_state()
     physics.get_mutable_state().get_mutable_abstract_state().SetFrom(sampled)
-
-
-def _systems(station: Diagram) -> list[Any]:
-    """The station's planner, driver and plant."""
-    names = "planner", "driver", "plant"
-    if not isinstance(station, Diagram) or not all(map(station.HasSubsystemNamed, names)):
-        raise SceneError(
-            f"station = {station!r}: give what BuildStation made, or a Diagram of your own whose "
-            "ContactPlanner, FingertipDriver and MultibodyPlant are named 'planner', 'driver' and "
-            "'plant'; of a Diagram that contains it give the station, and the Diagram's context"
-        )
-    return [*map(station.GetSubsystemByName, names)]
 
 
 def _finger_poses(
