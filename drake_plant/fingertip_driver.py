@@ -187,9 +187,9 @@ def _check(parts: ScenePlant) -> None:
     joints = list(map(plant.get_joint, plant.GetJointIndices()))
     for i, (contact, body) in enumerate(zip(scene.contacts, parts.finger_bodies)):
         for joint in joints:
-            parent, child = joint.parent_body().index(), joint.child_body().index()
-            free = joint.num_velocities() == 6 and parent == world_index()
-            if parent == body.index() or (child == body.index() and not free):
+            ends = joint.parent_body().index(), joint.child_body().index()
+            free = joint.num_velocities() == 6 and world_index() in ends
+            if body.index() in ends and not free:
                 raise SceneError(
                     f"{scene.title}, {scene.contact_title(i)}: body '{body.name()}' is not free, "
                     f"but has the joint '{joint.name()}'; forces are for a body that moves alone: "

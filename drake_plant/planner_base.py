@@ -69,7 +69,7 @@ class PlannerBase(_System):
             for time in (max(0.0, math.nextafter(edge, -math.inf)), edge):
                 self.DeclarePeriodicPublishEvent(FOREVER, time, lambda context: None)
         corners = system.corners if x0 is not None else ()
-        if len(system.held0) and x0 is not None and (corners or period is not None):
+        if len(system.held0) and (corners or period is not None):
             self._held = self.DeclareDiscreteState(BasicVector_[self.T](system.held0))
         for edge in corners:
             self.DeclarePeriodicUnrestrictedUpdateEvent(FOREVER, edge, weakly(self._Turn, edge))

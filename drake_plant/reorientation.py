@@ -278,8 +278,8 @@ def _planned(
     if min(map(len, chains.joints)) >= FREE:
         with contextlib.suppress(SceneError):  # those that cannot follow legs spin
             t, q, v, route = _routed(chains, path, t, q)
-    X = [path.GetPose(time) for time in t]
-    R = np.array([pose.rotation().matrix() for pose in X])
+    X_WO = np.array([path.GetPose(time).GetAsMatrix4() for time in t])
+    R = X_WO[:, :3, :3]
     V, A = (np.array([get(x) for x in t]) for get in (path.GetVelocity, path.GetAcceleration))
     found = _contacts(chains, path, t, q, v)
     states = found[..., STATES]
@@ -309,7 +309,7 @@ def _planned(
         route=route,
         path=path,
         t=t,
-        object_pose=np.array([pose.GetAsMatrix4() for pose in X]),
+        object_pose=X_WO,
         q=q,
         v=v,
         a=a,
