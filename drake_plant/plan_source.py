@@ -57,7 +57,7 @@ class PlanSource(PlannerBase, LeafSystem):
                 f"{plan.scene.title}: method = {plan.method!r}: give a plan of the default method"
             )
         self.plan = plan
-        self._Declare(scene_system(plan.scene, "frame"), None, None)
+        self._DeclareOutputs(scene_system(plan.scene, "frame"))
 
     def _Parts(self, context: Any, *outputs: str) -> list[Array]:
         t, names = context.get_time(), [name for name in outputs if name in PLANNED]

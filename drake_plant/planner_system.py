@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression
-from pydrake.systems.framework import LeafSystem, LeafSystem_, SystemScalarConverter
+from pydrake.systems.framework import BasicVector_, LeafSystem, LeafSystem_, SystemScalarConverter
 
-from contact_system import Plan, Scene
+from contact_system import Plan, Scene, SceneSystem
 from contact_system.checks import Array, finite_number
 from contact_system.errors import SceneError
 from contact_system.planning.starts import on_branch
@@ -29,8 +29,8 @@ from .plan_check import (
     refuse_drift,
     refuse_singularity,
 )
-from .planner_base import PlannerBase, scene_system
-from .scalars import evaluate_scalars
+from .planner_base import EARLY, FOREVER, PORTS, PlannerBase, scene_system
+from .scalars import evaluate_scalars, select
 from .tables import Scratch, per_thread
 
 NEARBY = 10 * CLEARANCE
@@ -40,11 +40,75 @@ RESTING = 1e-3
 """A contact up to this part of its greatest sigma counts as at rest."""
 
 
-class _Convertible(PlannerBase):
-    """A planner that converts to other scalars, as pydrake's TemplateSystem would make it if all
-    its constructors took the same arguments."""
+class _Planner(PlannerBase):
+    """States and events of a planner, for any scalar T. It converts to other scalars as pydrake's
+    TemplateSystem would make it if all its constructors took the same arguments."""
 
     __slots__ = NO_DICTIONARY
+
+    _held: Any = None  # None: this planner has no such state or port
+    _disturbance: Any = None
+
+    def _Declare(self, system: SceneSystem, period: float | None) -> None:
+        """Declare states, ports and events; period: of restarts, s."""
+        n, self._period, self._fed_through = len(system.scene.contacts), period, {"derivatives"}
+        self.DeclareContinuousState(BasicVector_[self.T](system.x0))
+        if len(system.held0) and (system.corners or period is not None):
+            self._held = self.DeclareDiscreteState(BasicVector_[self.T](system.held0))
+        for edge in system.corners:
+            self.DeclarePeriodicUnrestrictedUpdateEvent(FOREVER, edge, weakly(self._Turn, edge))
+        if system.disturbance_input:
+            self._disturbance = self.DeclareVectorInputPort("disturbance", 6 * n)
+            self._fed_through |= {name for name in PORTS if "w" in system.depends(name)}
+        if period is not None:
+            self._measured = self.DeclareVectorInputPort("measured_state", 9 * n)
+            self._restarts = self.DeclareDiscreteState(BasicVector_[self.T](np.zeros(n)))
+            # A little early: in floating point 3 * 0.1 s is after 300 * 1 ms. A discrete plant
+            # would have made its step by then, and its state would be ahead of the planner's.
+            first, restart = period - EARLY, weakly(self._Restart)
+            self.DeclarePeriodicUnrestrictedUpdateEvent(period, first, restart)
+        self._DeclareOutputs(system)
+        if period is not None:
+            self.DeclareStateOutputPort("restarts", self._restarts)
+
+    def _Prerequisites(self, *outputs: str) -> set:
+        found = {self.time_ticket(), self.all_state_ticket()}
+        if not self._fed_through.isdisjoint(outputs):
+            found.add(self.input_port_ticket(self._disturbance.get_index()))
+        return found
+
+    def _Restart(self, context: Any, state: Any) -> None:
+        raise TypeError("a ContactPlanner restarts with T = float only: simulate that one")
+
+    def _Turn(self, edge: float, context: Any, state: Any) -> None:
+        """At a corner contacts turn to their next legs; at a rest their slip is dropped."""
+        x, held = self._StateAndHeld(context)
+        x, held = self.system.turned(edge, x, held, self._Parts(context, "carried")[0])
+        state.get_mutable_continuous_state().SetFromVector(x)
+        if self._held is not None:
+            state.get_mutable_discrete_state(self._held).SetFromVector(held)
+
+    def _StateAndHeld(self, context: Any) -> tuple[Array, Array]:
+        x, held = context.get_continuous_state_vector(), self.system.held0
+        if self._held is not None:
+            held = context.get_discrete_state(self._held).CopyToVector().ravel()
+        return x.CopyToVector().ravel(), held
+
+    def _Acting(self, context: Any, *outputs: str) -> list[Any]:
+        """The disturbances that act now, from windows and the port, (n_w,).
+
+        For outputs without feedthrough the port is not evaluated, as it may depend on them.
+        """
+        t, port = context.get_time(), self._disturbance
+        w: list[Any] = [0.0] * self.system.n_w
+        for d, rows in self.system.windows:
+            acts = select(t >= d.start, 1.0, 0.0) - select(t >= d.stop, 1.0, 0.0)
+            for k, value in enumerate(d.value, rows.start):
+                w[k] += acts * value
+        fed = port is not None and not self._fed_through.isdisjoint(outputs)
+        if fed and port.HasValue(context):
+            return [a + b for a, b in zip(w, port.Eval(context).ravel().tolist())]
+        return w
 
     def _Converted(self, T: type) -> Any:
         made = _convert(T, self)
@@ -58,7 +122,7 @@ class _Convertible(PlannerBase):
 # --- floats ---------------------------------------------------------------------------------------
 
 
-class ContactPlanner(_Convertible, LeafSystem):
+class ContactPlanner(_Planner, LeafSystem):
     """Plans how contacts of a scene move, by the equations of contact_system.
 
     .. pydrake_system::
@@ -190,7 +254,7 @@ class ContactPlanner(_Convertible, LeafSystem):
             restart_distance=restart_distance,
             tolerance=tolerance,
         )
-        self._Declare(system, system.x0, period)
+        self._Declare(system, period)
         self._scratch = per_thread(partial(Scratch, system))
         self._exact = functools.lru_cache(maxsize=16)(partial(exact_plan, scene))
         size = HEADER + 9 * len(scene.contacts)
@@ -339,13 +403,13 @@ def _scalar_planner(T: type) -> type:
     """The class of planners for T, AutoDiffXd or Expression."""
     Base: Any = LeafSystem_[T]
 
-    class ScalarPlanner(_Convertible, Base):
+    class ScalarPlanner(_Planner, Base):
         __slots__ = NO_DICTIONARY
 
-        def __init__(self, other: PlannerBase):
+        def __init__(self, other: _Planner):
             Base.__init__(self, converter=_converter())
             self.T, self._options, system = T, other._options, other.system
-            self._Declare(system, system.x0, other._period)
+            self._Declare(system, other._period)
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             derivatives.SetFromVector(self._Parts(context, "derivatives")[0])
@@ -360,7 +424,7 @@ def _scalar_planner(T: type) -> type:
     return ScalarPlanner
 
 
-def _convert(T: type, other: PlannerBase) -> PlannerBase:
+def _convert(T: type, other: _Planner) -> _Planner:
     if T is float:
         made: Any = ContactPlanner(other.system.scene, **other._options)
     else:
