@@ -195,7 +195,7 @@ def draw(meshcat: Meshcat, result: SimulationResult) -> None:
 
 def _branch(scene: Scene, on: int) -> str:
     """A body's branch of Meshcat's tree; ``on`` is its number in `body_names`, -1 the object."""
-    name = [*model_names(scene), "object"][on]
+    name = [*model_names(scene), "object"][on].replace("::", "/")  # as Drake's visualizer does
     return f"{BODIES}/{name}/{name}"
 
 
