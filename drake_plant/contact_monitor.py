@@ -110,7 +110,7 @@ class ContactMonitor(LeafSystem):
     connected. The outputs, for n contacts in the scene's order, in SI units:
 
     * `state` (9n) holds u1 v1 du1 dv1 u2 v2 du2 dv2 psi in principal values, for the planner's
-      `measured_state`; its rates fulfil ``R_psi M1 q1' - M2 q2' = v_rel`` with the measured slip;
+      `measured_state`; its rates fulfil ``R_psi M1 q1' - M2 q2' = v_rel``, the slip at their time;
     * `slip` (2n) is v_rel in E2: the velocity of the finger's material point relative to the
       object's is -v_rel (theory section 2);
     * `normal_force` (n) is positive where the bodies press;
