@@ -60,8 +60,7 @@ static void run_one(work_t *w, const table_t *t, const double *constants, const 
   double *r = room_for(w, &w->one, (size_t)t->n_regs);
   memcpy(r, in, (size_t)t->n_in * sizeof *r);
   if (t->n_const) memcpy(r + t->n_in, constants, (size_t)t->n_const * sizeof *r);
-  if (t->n_lit) memcpy(r + t->first_lit, t->literals, (size_t)t->n_lit * sizeof *r);
-  step(&(program_t){t->prologue, r});
+  load_registers(t, r);
   step(&(program_t){t->body, r});
   memcpy(out, r + t->first_out, (size_t)t->n_out * sizeof *out);
 }

@@ -362,12 +362,11 @@ static const double *start_place(const contact_t *c, int side) {
    whatever the track's own form is */
 static void usual_state(work_t *w, const track_t *k, double t, double *state) {
   const body_t *b = k->body;
-  const int n = state_size(k->in_space);
-  double tau[L], x[L], turns[L], found[6][L];
-  fill_lanes(tau, t - k->drive->start);
-  path_variable(k, tau, x, turns);
-  state_at(k, tau, x, n, found);
-  for (int j = 0; j < n; j++) state[j] = found[j][0];
+  sample_t m;
+  fill_lanes(m.t, t);
+  m.side[b->side].track = k;
+  sample_body(w, &m, b->side, 1, NEED_STATE);
+  for (int j = 0; j < state_size(k->in_space); j++) state[j] = m.side[b->side].state[j][0];
   if (!moves_in_space(b->surface)) return;
   if (!k->in_space) run_one(w, b->surface->tables[IN_SPACE][A_START], b->numbers, state, state);
   restore_body(w, b, state);
