@@ -12,11 +12,11 @@ from conftest import of_blocks, of_kinds, of_versions, one_contact
 
 import contact_system as cs
 
-fmpy = pytest.importorskip("fmpy")
+pytest.importorskip("fmpy")
 
-from fmu_hosts.blocks import Instance, close, simulated, simulated_states  # noqa: E402
+from fmu_hosts.blocks import Instance, close, simulated, simulated_states
 
-from fmu_export import PlannerSlave2, PlannerSlave3, variable_table  # noqa: E402
+from fmu_export import PlannerSlave2, PlannerSlave3, variable_table
 
 K1, K3, K4 = (cs.load_scene(name) for name in ("K1", "K3", "K4"))
 PUSH = "contact[1].finger.acceleration.u"

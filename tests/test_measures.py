@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import mpmath
 import numpy as np
 import pytest
 from conftest import disturbed, one_contact
@@ -31,7 +32,6 @@ def test_the_exact_law_drawn_in_pictures_is_the_plans_slip_between_disturbances(
 
 
 def test_k1_recovers_within_the_reported_time_under_the_time_law():
-    mpmath = pytest.importorskip("mpmath")
     scene = cs.load_scene("K1")
     crossing = mpmath.findroot(
         lambda t: (1 + 400 * t**2) * mpmath.exp(-100 * t) - mpmath.mpf("0.05"),
@@ -48,7 +48,6 @@ def test_k1_recovers_within_the_reported_time_under_the_time_law():
 
 def test_recovery_is_the_last_time_that_slip_falls_below_a_twentieth():
     # slip sigma exp(-L): 0.01 (1 + 20 t) exp(-12 t) grows at first
-    mpmath = pytest.importorskip("mpmath")
     scene = cs.load_scene("K1").replace(profile=cs.Profile([0.01, 0.2]), gain=cs.Gain.time(12))
     (r, *_) = cs.rejections(cs.plan(scene))
     truth = mpmath.findroot(lambda t: (1 + 20 * t) * mpmath.exp(-12 * t) - mpmath.mpf("0.05"), 0.5)
@@ -58,7 +57,6 @@ def test_recovery_is_the_last_time_that_slip_falls_below_a_twentieth():
 
 
 def test_recovery_counts_from_the_end_of_the_last_disturbance():
-    mpmath = pytest.importorskip("mpmath")
     lost = lambda t: mpmath.quad(lambda x: (0.1 + 0.2 * x - 0.02 * x**2) ** 2, [2, t])  # noqa: E731
     sigma = lambda t: 0.1 + 0.2 * t - 0.02 * t**2  # noqa: E731
     truth = mpmath.findroot(

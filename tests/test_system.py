@@ -16,7 +16,6 @@ from contact_system import SceneSystem
 
 COORDINATES = ("chart", "frame")
 SIZE = dict(state=9, slip=2, twist=6, acceleration=6, pose=12, contact_point=6, slip_acceleration=2)
-TURN = 2 * np.pi
 # Surfaces with every form of state: in space, in a chart alone, developable, without a chart.
 OBJECTS = ("plane", "sphere", "ellipsoid", "bumps", "cylinder", "rounded cube")
 WINDOW = (0.3, 0.6)
