@@ -105,9 +105,9 @@ class ContactMonitor(LeafSystem):
     The first four inputs are the plant's; `noise` (9n) is added to `state`, and so to `sliding`,
     which follows from it. With a discrete plant slip and forces are those of the step that has just
     ended, state and contact point those of now. Without sampled output ports Drake reports the step
-    that begins instead: then all are those of now, as with a continuous plant. Rates of the state
-    are those of half a step ago, as the plant's velocities are, unless sampled accelerations are
-    connected. The outputs, for n contacts in the scene's order, in SI units:
+    that begins instead: then all are those of now, as with a continuous plant. Without the plant's
+    accelerations, rates of the state are those of half a step ago, as a discrete plant's velocities
+    are. The outputs, for n contacts in the scene's order, in SI units:
 
     * `state` (9n) holds u1 v1 du1 dv1 u2 v2 du2 dv2 psi in principal values, for the planner's
       `measured_state`; its rates fulfil ``R_psi M1 q1' - M2 q2' = v_rel``, the slip at their time;
@@ -340,7 +340,7 @@ def _motion() -> Table:
     """Table: `MOTION_INPUTS`; step -> X_OF (12), V_OF_O (6), C in F, C in O, force and torque in O,
     when the step that has just ended began; X_OF, V_OF_O of now.
 
-    A discrete plant has moved the bodies from there with the velocities that it reports, which so
+    A discrete plant has moved the bodies from there with the velocities that it reports, so these
     are those of half a step ago.
     """
     (row, x), step = named(MOTION_INPUTS), ca.SX.sym("step")

@@ -153,8 +153,8 @@ class ObjectReport:
         Greatest distance and angle from where it began [m], [rad].
     carried : float
         Part of its weight that is balanced, at most 1: 1 + a/g, a the mean upward acceleration in
-        the last 0.5 s, less that of its path in a hand; NaN without gravity, if it is not free, or
-        in less than 0.02 s.
+        the last 0.5 s, less that of its path in a hand. NaN without gravity, if the object is not
+        free, and in simulations shorter than 0.02 s.
     """
 
     moved: float

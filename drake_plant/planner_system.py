@@ -41,8 +41,8 @@ RESTING = 1e-3
 
 
 class _Planner(PlannerBase):
-    """States and events of a planner, for any scalar T. It converts to other scalars as pydrake's
-    TemplateSystem would make it if all its constructors took the same arguments."""
+    """States and events of a planner, for any scalar T. `_convert` converts it to other scalars:
+    pydrake's TemplateSystem demands that all constructors take the same arguments."""
 
     __slots__ = NO_DICTIONARY
 

@@ -122,9 +122,9 @@ static int may_cross(const double *x, const double *y) {
   return fall > 0.0 && rise > 0.0 && sign * (y[1] / fall + y[2] / rise) < 0.5;
 }
 
-/* Whether a path turns back beside a pole in a step to a place with coordinates z: its chords at
-   both ends, unless as short as rounding, are opposite. Around the pole theta may then change by
-   nearly a whole turn. The rates are those at a speed of 1. */
+/* Whether a path turns back beside a pole in the step to a place with coordinates z: its first and
+   its last chord are opposite, and longer than rounding. Then theta may have changed by nearly a
+   whole turn around the pole. The rates in z are those at a speed of 1. */
 static int turns_back(const track_t *k, double from, double to, const double *z) {
   const double size = k->body->size, part = 1e-2 * (to - from), far = 3.0 / size;
   double x[L], at[3][L], along = 0.0;

@@ -6,8 +6,9 @@
 /* dot product of unit normals at neighbouring places, below which one has changed its sign; they
    may differ by 45 degrees besides */
 static const double TURNED_OVER = -0.7;
-/* Part of a panel in which no surface turns so far. On a shorter one, beside an edge where f_u and
-   f_v align, normals are rounding alone, and may seem to turn smoothly. */
+/* Part of a panel within which the normal of no surface turns so far. Shorter parts are not looked
+   at: beside an edge where f_u and f_v align, normals there are only rounding, and may seem to turn
+   smoothly. */
 static const double SHARPEST = 1e-4;
 
 /* Normals at places xi of a panel, and u v theta there */

@@ -124,8 +124,8 @@ class Search:
             longest = float(self.shortest()[1][0]) + 4 * math.pi * size
             longest *= 1 + 1e-12  # on a sphere it is just met
         reach = np.minimum(2 * self.pairs.chord, longest)
-        # a b that is close to a lies before the first sample of rays: the chord finds it, and,
-        # as it is aimed alone, lines straight through a pole of a chart
+        # the chord finds a b that lies before the first sample of rays and, as it is aimed alone, a
+        # line straight through a pole of a chart
         direct = self.within_reach(only, *self.chords(only), np.full(1, longest))
         while True:
             both = (
