@@ -21,10 +21,10 @@ from drake_plant.measures import object_report
 WEIGHT = 0.2 * 9.81
 
 
-def contacts_at(angles, radius=0.1):
-    """Contact points at angles on the equator of a ball, and normals into it."""
+def contacts_at(angles):
+    """Contact points at angles on the equator of a ball of 0.1 m, and normals into it."""
     normals = -np.stack([np.cos(angles), np.sin(angles), 0 * np.array(angles)], axis=-1)[None]
-    return -radius * normals, normals
+    return -0.1 * normals, normals
 
 
 def evenly_spaced_contacts(n):

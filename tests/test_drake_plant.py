@@ -55,11 +55,11 @@ class World:
             found[name] = (sign * force, surface.num_faces())
         return found
 
-    def pressed(self, depth=DEPTH, count=30, seed=0):
+    def pressed(self, depth=DEPTH, count=30):
         """Fingers at times of the plan, pressed in by ``depth``: forces (count, n, 3), numbers of
         faces (count, n) and the object's normals there (count, n, 3)."""
         plan, scene = cs.plan(self.scene), self.scene
-        t = np.random.default_rng(seed).uniform(0, scene.duration, count)
+        t = np.random.default_rng(0).uniform(0, scene.duration, count)
         poses, points = plan.pose(t), plan.points(t)[:, :, 1]
         normals = scene.object.normal(*scene.object.coordinates(points))
         forces, faces = np.zeros(points.shape), np.zeros(points.shape[:2])
@@ -73,12 +73,10 @@ class World:
         return forces, faces, normals
 
 
-def rolling(obj, finger=SPHERE, at=(1.0, 0.4), finger_at=(math.pi / 2, 0.0), length=0.3, name=""):
+def rolling(obj, finger=SPHERE, at=(1.0, 0.4), finger_at=(math.pi / 2, 0.0), length=0.3):
     """A scene with one finger that rolls so far, oblique to the object's axes."""
     contact = cs.Contact(finger, at, finger_at, finger_velocity=(0.6, 0.8))
-    return cs.Scene(
-        object=obj, contacts=[contact], profile=cs.Profile([length]), duration=1.0, name=name
-    )
+    return cs.Scene(object=obj, contacts=[contact], profile=cs.Profile([length]), duration=1.0)
 
 
 # --- how stiff contact is ----------------------------------------------------------------------

@@ -47,19 +47,15 @@ def config(scene, **changes):
     return StationConfig.from_scene(scene, **{"contact_model": "point", **changes})
 
 
-def disturbed_early(name, start, stop, duration):
-    """A bundled scene with its disturbance soon after the start."""
-    scene = cs.load_scene(name)
+def disturbed_early(start, stop, duration):
+    """D1 with its disturbance soon after the start."""
+    scene = cs.load_scene("D1")
     windows = [dataclasses.replace(d, start=start, stop=stop) for d in scene.disturbances]
     return dataclasses.replace(scene, disturbances=windows, duration=duration)
 
 
 def lengths(result, name):
     return np.linalg.norm(result.measured[name], axis=-1)
-
-
-def between(result, start, stop):
-    return (result.t > start) & (result.t < stop)
 
 
 def test_fingers_in_hydroelastic_contact_press_with_one_newton_and_roll():
@@ -149,9 +145,9 @@ def test_a_finger_that_legs_steer_arrives_in_contact_physics():
     assert abs(math.remainder(angle - goal.angle, 2 * math.pi)) < math.radians(1)
 
 
-def pushed(push=None, model="point", scene=None, **changes):
-    """D4, or another scene, simulated under one push: by default 4 N on finger 1 for 0.05 s."""
-    scene = scene or cs.load_scene("D4")
+def pushed(push=None, model="point", **changes):
+    """D4, simulated under one push: by default 4 N on finger 1 for 0.05 s."""
+    scene = cs.load_scene("D4")
     pushes = [push or Push("finger 1", 0.1, 0.15, [-3.64, -1.28, -1.07])]  # along the object
     given = {"contact_model": model, "pushes": pushes, **changes}
     # the end lies within a step
@@ -194,7 +190,7 @@ def test_restarts_of_the_plan_while_a_finger_is_pushed_do_not_jerk_it():
 
 
 def test_the_outcome_of_a_simulation_is_a_row_of_a_sweep():
-    scene = disturbed_early("D1", 0.12, 0.22, 0.3)
+    scene = disturbed_early(0.12, 0.22, 0.3)
     scene = scene.replace(drake=scene.drake | {"contact_model": "point"})
     found = cs.sweep([scene], outcome, each=True)
     assert found.table["verdict"].tolist() == ["as reported", "undisturbed", "undisturbed"]
@@ -234,13 +230,13 @@ def test_restarts_of_fingers_that_roll_neither_make_slip_nor_leave_the_first_pla
     """A step late (3 * 0.1 > 300 * 0.001 in doubles) makes slip; by old rates D3 lags 0.4 mm."""
     scene = cs.load_scene(name).replace(disturbances=[])
     result = simulate(scene, config(scene, restart_period=period, time_step=1e-3), duration=0.35)
-    slip = np.linalg.norm(result.measured["slip"][between(result, 0.05, 1.0)], axis=-1)
+    slip = lengths(result, "slip")[result.t > 0.05]
     off = result.measured["contact_point"] - result.planned["first_contact_point"]
     assert slip.max() < 1e-4 and np.abs(off).max() < 2e-5
 
 
 def test_a_disturbance_at_the_input_port_moves_the_contact_like_one_of_the_scene():
-    scheduled = disturbed_early("D1", 0.0, 0.06, 0.06)
+    scheduled = disturbed_early(0.0, 0.06, 0.06)
     free = dataclasses.replace(scheduled, disturbances=[])
     planned = simulate(scheduled, config(scheduled), 0.05).planned["slip"][-1, 0]
     station = BuildStation(free, config(free, disturbance_input=True))

@@ -61,7 +61,7 @@ def test_model_exchange_under_an_input_that_jumps_gives_what_co_simulation_gives
     given = {"input": signal, "stop_time": 1.0, "output_interval": 0.01, "record_events": False}
     given |= {"output": ["contact[1].object.point.x"], "relative_tolerance": None}
     held, solved = (
-        simulated(K4, "FMU", version, fmi_type=kind, **given)["contact[1].object.point.x"]
+        simulated(K4, version, fmi_type=kind, **given)["contact[1].object.point.x"]
         for kind in ("CoSimulation", "ModelExchange")
     )
     close(solved, held, 1e-9)

@@ -208,7 +208,7 @@ def test_an_importer_stops_where_sigma_turns_negative(version, end):
     # FMI 2 has no early return: at the last communication point before
     scene, given = K1.replace(profile=cs.Profile([0.3, -0.2])), {"output_interval": 0.2}
     given |= {"early_return_allowed": True} if version == "3.0" else {}
-    result = simulated(scene, "FMU", version, stop_time=3.0, **given)
+    result = simulated(scene, version, stop_time=3.0, **given)
     assert result["time"][-1] == pytest.approx(end, abs=1e-15)
 
 
@@ -239,7 +239,7 @@ def test_model_exchange_ends_where_sigma_turns_negative(version):
     scene = K1.replace(profile=cs.Profile([*LINE.values()]), duration=1.5)
     options = {"fmi_type": "ModelExchange", "solver": "CVode", "start_values": LINE}
     options |= {"output_interval": 0.05, "step_size": 0.05}
-    result = simulated(K1, "FMU", version, stop_time=2.0, **options)
+    result = simulated(K1, version, stop_time=2.0, **options)
     assert result["time"][-1] == pytest.approx(1.5, abs=1e-15)  # the FMU ends the simulation
     planned = cs.plan(scene).states(np.minimum(result["time"], 1.5))
     close(simulated_states(result, planned), planned, 1e-7)

@@ -13,8 +13,8 @@ from contact_system import plots
 FINGER = cs.Sphere(0.04)
 
 
-def _scene(surface: cs.Surface, at=(0.3, 0.2), finger: cs.Surface = FINGER, **changes) -> cs.Scene:
-    contact = cs.Contact(finger=finger, object_at=at, object_velocity="rest")
+def _scene(surface: cs.Surface, at=(0.3, 0.2), **changes) -> cs.Scene:
+    contact = cs.Contact(finger=FINGER, object_at=at, object_velocity="rest")
     fields = {"profile": cs.Profile([0.1, 0.2]), "gain": cs.Gain.time(4), "duration": 1.0}
     return cs.Scene(object=surface, contacts=[contact], **{**fields, **changes})
 

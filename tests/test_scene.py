@@ -220,8 +220,8 @@ def contact_with(**changes):
     return lambda: Contact(**({"finger": FINGER, "object_at": (1, 1)} | changes))
 
 
-def scene_with_window(start, stop, contact=0, value=(1, 0)):
-    return lambda: small_scene(disturbances=[FingerAcceleration(contact, start, stop, value)])
+def scene_with_window(start, stop, contact=0):
+    return lambda: small_scene(disturbances=[FingerAcceleration(contact, start, stop, (1, 0))])
 
 
 FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(1, 0))

@@ -15,7 +15,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 import contact_system as cs
-from fmu_export import PlannerSlave2, PlannerSlave3, export_fmu, in_process, variable_table
+from fmu_export import PlannerSlave2, PlannerSlave3, export_fmu, variable_table
 
 from .native import Fmu
 
@@ -158,16 +158,13 @@ class Instance:
             raise AssertionError("not refused")
 
 
-def simulated(scene: cs.Scene, kind: str, version: str, **given: Any) -> np.ndarray:
+def simulated(scene: cs.Scene, version: str, **given: Any) -> np.ndarray:
     """All outputs and states from `fmpy.simulate_fmu`."""
     scalars = variable_table(scene).rows
     names = [v.name for v in scalars if v.causality in ("output", "local")]
-    given = {"output": names, "relative_tolerance": 1e-10} | given
-    if kind == "slave":
-        with in_process(scene, version) as ready:
-            return fmpy.simulate_fmu(**ready, **given)
+    usual = {"output": names, "relative_tolerance": 1e-10, "fmi_type": "CoSimulation"}
+    given = usual | {"stop_time": scene.duration} | given
     fmu = exported(scene, version)
-    given = {"fmi_type": "CoSimulation", "stop_time": scene.duration} | given
     return fmpy.simulate_fmu(str(fmu.folder), model_description=fmu.description, **given)
 
 

@@ -1,7 +1,7 @@
 """Reference solutions of high precision: external truth for the tests.
 
 Nothing here imports ``contact_system``. The paper's chart equations (theory section 2: eq.
-`contrac` with the errata of the README, plus Montana's angle equation) are stated once more in
+`contrac` with the errata of docs/errata.md, plus Montana's angle equation) are stated once more in
 heyoka expressions and integrated by an adaptive Taylor method in multiple precision arithmetic
 (Jorba and Zou, Experimental Mathematics 14, 2005; Biscani and Izzo, MNRAS 504, 2021). E and G of
 each chart are written out by hand; slip, found with differences of the chart itself, must follow
