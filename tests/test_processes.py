@@ -11,11 +11,9 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
-
-ROOT = Path(__file__).parents[1]
+from conftest import ROOT
 
 WORK = """
 import hashlib, itertools, os, pathlib, random, signal, sys, threading, time
