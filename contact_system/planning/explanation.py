@@ -165,11 +165,11 @@ def _ended_early(scene: Scene, failure: Failure, surface: Surface) -> str:
     why, at_rest = _singular(surface, (failure.u, failure.v)), _accelerated_at_rest(scene, failure)
     if failure.code == STUCK and not why:
         why = at_rest or (
-            "the path reaches a singular point of its chart or its surface, or rounding exceeds "
-            "the tolerance, as on a fast path, far from the body's origin, or where terms of its "
-            "formula cancel (thin bodies with turned axes); start elsewhere, change the direction, "
-            "end the scene before, give a greater tolerance, or write the formula in the body's "
-            "principal axes (or as a Quadric)"
+            "the path reaches a singular point of its chart or its surface (start elsewhere, "
+            "change the direction, or end the scene before), or rounding exceeds the tolerance, as "
+            "on a fast path, far from the body's origin, or where terms of its formula cancel, as "
+            "for thin bodies with turned axes (give a greater tolerance, or write the formula in "
+            "the body's principal axes or as a Quadric)"
         )
     if why:
         return f"the motion cannot be continued past {reached}: {why}"
