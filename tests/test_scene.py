@@ -348,7 +348,7 @@ def test_numbers_in_a_file_may_be_texts_of_arithmetic():
         ('[0.1, "1/5"]', "[" * 2000 + "]" * 2000, ["nested too deeply"]),
         ("friction = 0.5", "x" + ".x" * 2000 + " = 1", ["key x.x.x", "dots: 2000"]),
         ("friction = 0.5", "friction = " + 5000 * "9", ["4300 digits", "correct"]),
-        ("friction = 0.5", "duration = 2.0", ["drake: key 'duration'", "above all headers"]),
+        ("friction = 0.5", "[[legs]]\nlength = 1", ["legs", "a table [[contacts.legs]]"]),
     ],
 )
 def test_a_mistake_in_a_file_is_named_by_file_key_value_and_remedy(old, new, words):

@@ -72,6 +72,8 @@ def _scene(text: str, source: str) -> Scene:
             f"is not valid TOML: {error}; correct that line (texts and arithmetic stand in quotes, "
             'as "2*pi/3")'
         ) from None
+    if "legs" in document:
+        raise SceneError("legs belong to a contact: write each one as a table [[contacts.legs]]")
     contacts = document.get("contacts")
     all_legs = isinstance(contacts, list) and all("legs" in c for c in contacts if type(c) is dict)
     motion = () if all_legs else ("duration", "profile")
