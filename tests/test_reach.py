@@ -193,7 +193,7 @@ REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
     "an angle at a pole": ("pole", _reach({**WHOLE, "finger_at": (0.0, 0.0)})),
     "almost equal spheres": ("almost .* more than 2 %", _reach(WHOLE, obj=cs.Sphere(0.0401))),
     "flat bodies": ("same Gaussian", _reach(WHOLE, cs.Plane(), cs.Quadric(np.diag([90.0, 9, 0])))),
-    "mirror images": ("no path", _reach(TWO_PLACES, TWIN, TWIN, MIRRORED, legs=2)),
+    "mirror images": ("leave parts", _reach(TWO_PLACES, TWIN, TWIN, MIRRORED, legs=2)),
     "a start outside its region": ("the start lies", _reach({**PLACE, "finger_within": FAR})),
     "a goal outside its region": ("the goal lies", _reach({**PLACE, "object_within": NEAR})),
     "a pad too small": ("widen", _reach({**WHOLE, "finger_within": (1.1, 0.45, 0.007)})),

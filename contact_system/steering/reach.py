@@ -295,13 +295,18 @@ class _Search:
 
     def _refusal(self, counts: Sequence[int], starts: int) -> str:
         why = "no path was found that arrives there"
+        limits = [f"within {SIDES[r.side]}_within {r.widest:g} m" for r in self.aim.regions]
+        if self.longest is not None:
+            limits.append(f"with no leg above {self.longest:g} m")
+        if limits:
+            why += f" {' and '.join(limits)}; widen that, or leave parts of the goal out"
         if self.nearest < NEAR and self.aim.contact.object_velocity != ROLLING:
             why += (
-                ": paths without slip do, but slip leads off them; raise the gain, or let it roll"
+                "; paths without slip do, but slip leads off them; raise the gain, or let it roll"
             )
         elif self._same_curvature(0.02):
-            why = (
-                "the finger and the object have "
+            why += (
+                "; the finger and the object have "
                 f"{'' if self._same_curvature() else 'almost '}the same Gaussian curvature "
                 "everywhere: a place on one body determines that on the other, and the angle; "
                 "choose sizes that differ by more than 2 %, or leave parts of the goal out"
@@ -309,12 +314,12 @@ class _Search:
         elif self.aim.is_pose:
             why += "; do the bodies touch in that pose, from outside?"
         elif counts[0] < self.aim.fewest:
-            why += f": this goal mostly takes {self.aim.fewest} legs at least"
-        limits = [f"within {SIDES[r.side]}_within {r.widest:g} m" for r in self.aim.regions]
-        if self.longest is not None:
-            limits.append(f"with no leg above {self.longest:g} m")
-        if limits:
-            why += f" {' and '.join(limits)}; widen that, or leave parts of the goal out"
+            why += f"; this goal mostly takes {self.aim.fewest} legs at least"
+        elif not limits:
+            why += (
+                "; leave parts of the goal out, reach another goal first, or move this one away "
+                "from a pole or an edge of its chart"
+            )
         return (
             f"{self.aim.name}: {why}; tried {', '.join(map(str, counts))} "
             f"leg{'s' * (counts[-1] > 1)} from {starts} starts, of which the nearest ends "
