@@ -124,7 +124,7 @@ _CALLS: dict[str, Any] = {
     "step_tangents": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
     "geodesics": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, *[c_void_p] * 4, c_int64, c_void_p),
     "evaluate_at": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
-    "steer": ctypes.CFUNCTYPE(c_int64, c_void_p, c_int64, c_int64, *[c_void_p] * 3),
+    "steer": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_int64, *[c_void_p] * 3),
     "sign_changes": ctypes.PYFUNCTYPE(
         c_int64, POINTER(c_double), c_int64, c_int64, c_double, c_double, POINTER(c_double)
     ),

@@ -219,8 +219,8 @@ typedef struct {
      at a time may use. */
   int (*evaluate_at)(plan_t *plan, double t, double *const *out, failure_t *failure);
   /* paths of n legs to a goal: see steer.c */
-  int64_t (*steer)(const steer_t *aim, int64_t n, int64_t count, double (*z)[L], double *off,
-                   double *squares);
+  int (*steer)(const steer_t *aim, int64_t n, int64_t count, double (*z)[L], double *off,
+               double *squares);
   /* of a polynomial: see polynomial.h */
   int64_t (*sign_changes)(const double *c, int64_t n, int64_t order, double a, double b,
                           double *found);

@@ -29,7 +29,6 @@ typedef struct { /* normal equations: |off|^2, slopes^T off, slopes^T slopes */
 typedef struct {
   const steer_t *aim;
   int legs, unknowns;
-  int64_t met; /* trials that have met the goal */
   rolled_t rolled[2];
   double tried[UNKNOWNS][L];
   int active[L];
@@ -346,12 +345,12 @@ static void search(search_t *w, int64_t count, double (*z)[L]) {
   const steer_t *aim = w->aim;
   const int n = w->unknowns;
   double damping[L], mark[L];
-  int64_t going = count;
+  int64_t going = count, arrived = 0;
   for (int l = 0; l < L; l++) {
     w->active[l] = l < count, w->best.size[l] = mark[l] = HUGE_VAL, damping[l] = 1e-2;
     for (int i = 0; i < n; i++) w->tried[i][l] = z[i][l < count ? l : 0];
   }
-  for (int64_t step = 0; step < MOST_TRIES && going > 0 && w->met < ENOUGH; step++) {
+  for (int64_t step = 0; step < MOST_TRIES && going > 0 && arrived < ENOUGH; step++) {
     try_paths(w);
     for (int l = 0; l < count; l++) {
       if (!w->active[l]) continue;
@@ -369,7 +368,7 @@ static void search(search_t *w, int64_t count, double (*z)[L]) {
         stop |= off > 0.25 * mark[l] * mark[l];
         mark[l] = sqrt(off);
       }
-      w->met += met, w->active[l] = !stop, going -= stop;
+      arrived += met, w->active[l] = !stop, going -= stop;
       if (stop && !met) continue;
       double x[UNKNOWNS], most = 1.0;
       solve(&w->best, n, l, met ? NO_DAMPING : damping[l], x);
@@ -384,13 +383,12 @@ static void search(search_t *w, int64_t count, double (*z)[L]) {
 
 /* Improves directions and lengths z[2 n][L] of `count` trials until some meet the goal; these take
    a last step, unless it is a long one. Before that step, off[L] is how far from the goal paths
-   end, and squares[2 n][2 n][L] are slopes^T slopes of the equations. Returns how many trials meet
-   the goal, or -1 if there is no memory. */
-static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z)[L], double *off,
-                     double *squares) {
+   end, and squares[2 n][2 n][L] are slopes^T slopes of the equations. */
+static int steer(const steer_t *aim, int64_t legs, int64_t count, double (*z)[L], double *off,
+                 double *squares) {
   const int n = 2 * (int)legs;
   search_t *w = calloc(1, sizeof *w);
-  if (!w) return -1;
+  if (!w) return NO_MEMORY;
   w->aim = aim, w->legs = (int)legs, w->unknowns = n;
   int ready = 1;
   for (int side = 0; side < 2; side++) {
@@ -411,7 +409,6 @@ static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z
     }
   for (int side = 0; side < 2; side++)
     drop_lines(&w->rolled[side].lines), free(w->rolled[side].shape.r);
-  const int64_t met = ready ? w->met : -1;
   free(w);
-  return met;
+  return ready ? NO_FAILURE : NO_MEMORY;
 }

@@ -117,7 +117,7 @@ class Aim(Steer):
         self.tolerance, self.reached = tolerance, reached
         off, squares = np.full(LANES, math.inf), np.empty((rows, rows, LANES))
         out = address(tried), address(off), address(squares)
-        if binding.steer(ctypes.addressof(self), rows // 2, count, *out) < 0:
+        if binding.steer(ctypes.addressof(self), rows // 2, count, *out):
             raise MemoryError
         return tried, off, squares
 
