@@ -312,7 +312,7 @@ class _Search:
                 "choose sizes that differ by more than 2 %, or leave parts of the goal out"
             )
         elif self.aim.is_pose:
-            why += "; do the bodies touch in that pose, from outside?"
+            why += f"; do the bodies touch there, from outside, to {REACHED:g} of their size?"
         elif counts[0] < self.aim.fewest:
             why += f"; this goal mostly takes {self.aim.fewest} legs at least"
         elif not limits:
