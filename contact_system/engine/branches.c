@@ -124,7 +124,9 @@ static int may_cross(const double *x, const double *y) {
 
 /* Whether a path turns back beside a pole in the step to a place with coordinates z: its first and
    its last chord are opposite, and longer than rounding. Then theta may have changed by nearly a
-   whole turn around the pole. The rates in z are those at a speed of 1. */
+   whole turn around the pole. The rates in z are those at a speed of 1; they are below 3/size
+   farther than a quarter of the size from a sphere's pole, and a step is too short to lead around
+   it from there. */
 static int turns_back(const track_t *k, double from, double to, const double *z) {
   const double size = k->body->size, part = 1e-2 * (to - from), far = 3.0 / size;
   double x[L], at[3][L], along = 0.0;
