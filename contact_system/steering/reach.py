@@ -215,32 +215,29 @@ class _Search:
         """
         try:
             paths, off, squares = self.aim.search(z[:, None], SHARP, NEARER)
-            z = paths[:, 0]
             if not off[0] < NEAR:
                 return None
-            scene, gap = self._planned(z)
-            if np.linalg.norm(gap) > REACHED:
-                z = self._corrected(z)
-                scene, gap = self._planned(z)
-            residual = float(np.linalg.norm(gap))
+            z, scene, residual = self._corrected(paths[:, 0])
             return _Route(z, scene, residual, squares[..., 0]) if residual <= REACHED else None
         except ContactSystemError:  # such as a path through a pole
             return None
 
-    def _corrected(self, z: Array) -> Array:
-        """The path corrected by least-norm Gauss-Newton steps so that its plan ends at the goal."""
+    def _corrected(self, z: Array) -> tuple[Array, Scene, float]:
+        """The path, corrected by least-norm Gauss-Newton steps until its plan ends at the goal; its
+        scene and its error."""
         n, longest = len(z) // 2, self.longest or math.inf
         unit, most = np.repeat([[1.0, self.aim.unit], [math.inf, longest]], n, axis=1)
+        scene, gap = self._planned(z)
         for _ in range(CORRECTIONS):
-            _, gap = self._planned(z)
-            if np.linalg.norm(gap) <= 0.1 * REACHED:
+            if np.linalg.norm(gap) <= REACHED:
                 break
             both = [(z + h, z - h) for h in np.diag(DIFFERENCE * unit)]
             rows = [self._planned(more)[1] - self._planned(less)[1] for more, less in both]
             slopes = np.transpose(rows) / (2 * DIFFERENCE)
             slopes[:, np.abs(z) >= most] = 0.0  # a leg of the greatest length keeps it
             z = np.clip(z - unit * np.linalg.lstsq(slopes, gap, rcond=1e-9)[0], -most, most)
-        return z
+            scene, gap = self._planned(z)
+        return z, scene, float(np.linalg.norm(gap))
 
     def _planned(self, z: Array) -> tuple[Scene, Array]:
         """The scene of a path, and the difference between the end of its plan and the goal."""
