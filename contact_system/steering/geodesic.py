@@ -229,9 +229,8 @@ class Pairs:
                 f"{surface!r}: {name} = {given!r:.80}: give finite (u, v), or points x, y, z in m"
             )
         in_space = points.shape[-1] == 3
-        uv = surface.coordinates(points) if in_space else (points[..., 0], points[..., 1])
-        if self.follow.space and not in_space:
-            uv = surface._wrap(*uv)  # the frame is that in the regular range, as for contacts
+        # in the regular range, where contacts have their frames
+        uv = surface.coordinates(points) if in_space else surface._wrap(*np.moveaxis(points, -1, 0))
         if self.follow.space and in_space:  # to the last digit, at poles too
             there = self._restored(points.reshape(-1, 3), np.ones(3))[0].reshape(points.shape)
         else:
