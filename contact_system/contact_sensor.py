@@ -154,17 +154,13 @@ class Probe:
         x, found = self._x, self.found
         if of_finger is None:
             of_finger = (point - self._pose[:, 3]) @ self._pose[:, :3]
-        if self._in_space:
-            x[:3], x[3:] = of_finger, point
-        else:
-            n = 2 if isinstance(self._surfaces[0], ParametricSurface) else 3
-            near = zip(self._surfaces, (of_finger, point), np.split(x, [n]))
-            x[:] = np.concatenate([_unknowns(surface, np.array(p), q) for surface, p, q in near])
+        n = 2 if isinstance(self._surfaces[0], ParametricSurface) else 3
+        near = zip(self._surfaces, (of_finger, point), (x[:n], x[n:]))
+        x[:] = np.concatenate([_unknowns(surface, p, last) for surface, p, last in near])
         self._sense()
-        if not self._in_space:
-            for at, surface in zip((found[2:4], found[6:8]), self._surfaces):
-                if isinstance(surface, ParametricSurface):
-                    at[:] = surface._wrap(*at)
+        for at, surface in zip((found[2:4], found[6:8]), self._surfaces):
+            if isinstance(surface, ParametricSurface):
+                at[:] = surface._wrap(*at)
         return found
 
     def states(self, what: str) -> np.ndarray:
