@@ -189,8 +189,6 @@ class _Values:
         match name:
             case None:
                 raise _no_operation(op)
-            case "ASSIGN":
-                return a
             case "SQ":
                 return self.put("MUL", a, a)
             case "TWICE":
