@@ -202,6 +202,16 @@ def flag(value: Any, what: str) -> bool:
     return bool(of_kind((bool, np.bool_), value, what, "True or False"))
 
 
+def some_of(values: Any, known: Iterable[str], what: str) -> tuple[str, ...]:
+    """The words as a tuple; raises a ContactSystemError if there are none or one is not known."""
+    words, known = items_of(values), list(known)
+    if not words or any(word not in known for word in words):
+        raise ContactSystemError(
+            f"{what} = {values!r:.80}: give a list of one or more of {', '.join(known)}"
+        )
+    return words
+
+
 def items_of(values: Any) -> tuple:
     """The items of an iterable, read once; none for a text or anything else."""
     return tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else ()

@@ -8,14 +8,12 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
 from pathlib import Path
 
 from fmpy import platform_tuple
 
-from contact_system.checks import items_of, one_of
 from contact_system.engine.binding import LIBRARY
-from contact_system.engine.platforms import FLAGS, PLATFORMS, Platform, shared
+from contact_system.engine.platforms import FLAGS, PLATFORMS, shared
 from contact_system.errors import ContactSystemError
 
 from .data import as_c
@@ -27,39 +25,15 @@ _WASM = (
     *("-mexception-handling", "-mllvm", "-wasm-enable-sjlj"),
     *("-mllvm", "-wasm-use-legacy-eh=false"),
 )
+NATIVE = {"native": PLATFORMS[platform_tuple]} if platform_tuple in PLATFORMS else {}
+TARGETS = NATIVE | PLATFORMS
 ENGINE, C_FOLDER = LIBRARY.parent, Path(__file__).parent / "c"
 UNITS = (ENGINE / "engine.c", ENGINE / "dispatch.c", C_FOLDER / "fmi2.c", C_FOLDER / "fmi3.c")
 
 
-def native_platform() -> str:
-    """The name of this machine's platform in `PLATFORMS`."""
-    if platform_tuple not in PLATFORMS:
-        raise ContactSystemError(
-            f"this machine ({platform_tuple}) is none of the platforms FMUs are built for here; "
-            f"name one of {', '.join(PLATFORMS)}"
-        )
-    return platform_tuple
-
-
-def _platform(target: str) -> Platform:
-    """The row of `PLATFORMS`."""
-    one_of(target, ["native", *PLATFORMS], "platform", ContactSystemError)
-    return PLATFORMS[native_platform() if target == "native" else target]
-
-
-def chosen(platforms: Iterable[str]) -> tuple[str, ...]:
-    """The platforms asked for, as a tuple of at least one."""
-    found = items_of(platforms)
-    if not found:
-        raise ContactSystemError(
-            f'platforms = {platforms!r}: give a list of at least one, such as ("native",)'
-        )
-    return found
-
-
 def library_place(name: str, target: str, fmi_version: str) -> str:
     """Where a platform's library lies inside the FMU."""
-    row = _platform(target)
+    row = TARGETS[target]
     return f"binaries/{row.folder_2 if fmi_version == '2.0' else row.folder_3}/{name}{row.suffix}"
 
 
@@ -69,7 +43,7 @@ def library(target: str, name: str) -> bytes:
     This machine's was built when the package was installed; others are built by ziglang, which
     keeps what it has compiled in ``$ZIG_GLOBAL_CACHE_DIR`` or ``~/.cache/zig``.
     """
-    row = _platform(target)
+    row = TARGETS[target]
     if target == "native":
         return LIBRARY.read_bytes()
     if not importlib.util.find_spec("ziglang"):

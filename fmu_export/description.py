@@ -9,14 +9,13 @@ import math
 import re
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from html import escape
 from importlib import metadata
 from pathlib import Path
 from string import Template
 
 from contact_system import __version__
-from contact_system.checks import items_of
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
@@ -60,7 +59,7 @@ def model_description(
     head["guid" if fmi_version == "2.0" else "instantiationToken"] = token
     root = ET.Element("fmiModelDescription", head)
     # The schemas want Model Exchange first.
-    root.extend(_interface(table, fmi_version, i) for i in sorted(interfaces, reverse=True))
+    root.extend(_interface(table, fmi_version, i) for i in sorted({*interfaces}, reverse=True))
     root.append(_unit_definitions(table))
     root.append(_type_definitions(table, fmi_version))
     categories = ET.SubElement(root, "LogCategories")
@@ -79,20 +78,6 @@ def model_description(
     variables.extend(_variable(v, fmi_version, exchange) for v in listed(table, fmi_version))
     root.append(_structure(table, fmi_version))
     return xml_text(root)
-
-
-def check_choice(fmi_version: str, interfaces: Iterable[str]) -> tuple[str, ...]:
-    """The interfaces asked for, as a tuple; unknown versions and interfaces are refused."""
-    if fmi_version not in VERSIONS:
-        raise ContactSystemError(f"fmi_version = {fmi_version!r}: give a text, one of {VERSIONS}")
-    given = items_of(interfaces)
-    unknown = [i for i in given if i not in INTERFACES]
-    if unknown or not given or len(set(given)) < len(given):
-        raise ContactSystemError(
-            f"interfaces = {interfaces!r}: give a list of one or both of {', '.join(INTERFACES)}, "
-            "each once"
-        )
-    return given
 
 
 def model_identifier(scene: Scene) -> str:

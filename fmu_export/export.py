@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from contact_system.checks import of_kind
+from contact_system.checks import of_kind, one_of, some_of
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
@@ -60,8 +60,9 @@ def export_fmu(
         A scene that no importer can step, a path that cannot be written to, no ziglang, or an FMU
         that fmpy's validation refuses.
     """
-    path, platforms = target(path), build.chosen(platforms)
-    interfaces = description.check_choice(fmi_version, interfaces)
+    path, platforms = target(path), some_of(platforms, build.TARGETS, "platforms")
+    one_of(fmi_version, description.VERSIONS, "fmi_version")
+    interfaces = some_of(interfaces, INTERFACES, "interfaces")
     if measured != "nothing" and "CoSimulation" not in interfaces:
         raise ContactSystemError(
             f"measured = {measured!r}: only Co-Simulation takes measurements; add it to interfaces"

@@ -24,12 +24,12 @@ from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
 from fmpy.model_description import read_model_description
 
-from contact_system.checks import flag, of_kind
+from contact_system.checks import flag, of_kind, one_of
 from contact_system.engine.binding import LIBRARY
 from contact_system.scene import Scene
 
 from .data import scene_data
-from .description import check_choice, model_description, model_identifier
+from .description import VERSIONS, model_description, model_identifier
 from .variables import variable_table
 
 Logger = Callable[[int, str, str], None]
@@ -52,9 +52,8 @@ def in_process(scene: Scene, fmi_version: str = "2.0", **given: Any) -> Iterator
     ContactSystemError
         A scene that no importer can step, or an unknown version.
     """
-    check_choice(fmi_version, ("CoSimulation",))
-    kind = PlannerSlave2 if fmi_version == "2.0" else PlannerSlave3
-    slave = kind(scene, **given)
+    slaves = dict(zip(VERSIONS, (PlannerSlave2, PlannerSlave3)))
+    slave = slaves[one_of(fmi_version, slaves, "fmi_version")](scene, **given)
     yield {
         "filename": slave.unzipDirectory,
         "model_description": read_model_description(slave.unzipDirectory, validate=True),

@@ -11,7 +11,7 @@ from pathlib import Path
 import fmpy
 from fmpy.model_description import ModelDescription
 
-from contact_system.checks import did_you_mean, items_of, of_kind
+from contact_system.checks import did_you_mean, items_of, of_kind, some_of
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
@@ -63,7 +63,7 @@ def export_ssp(
         raise ContactSystemError(
             f'models = {models!r:.80}: give Scenes or paths of FMUs by name: {{"left": scene}}'
         )
-    path, platforms = target(path), build.chosen(platforms)
+    path, platforms = target(path), some_of(platforms, build.TARGETS, "platforms")
     files, found = {}, {}
     with tempfile.TemporaryDirectory(prefix="contact-system-") as folder:
         for k, (name, model) in enumerate(models.items()):

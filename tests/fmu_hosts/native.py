@@ -27,7 +27,7 @@ from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackL
 from fmpy.fmi3 import FMU3Model, FMU3Slave, fmi3LogMessageCallback
 from fmpy.model_description import ModelDescription, ModelVariable
 
-from fmu_export.build import PLATFORMS, library_place, native_platform
+from fmu_export.build import PLATFORMS, library_place
 
 HERE, FMI_HEADERS = Path(__file__).parent, Path(fmpy.__file__).parent / "c-code"
 FLAGS = ("-std=gnu11", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wno-unused-function")
@@ -171,7 +171,7 @@ class Program:
     def __init__(self, name: str, fmu: Fmu, target: str = "native", sanitized: bool = False):
         self._kept = tempfile.TemporaryDirectory(prefix="fmu-host-")
         self.folder, self.fmu = Path(self._kept.name), fmu
-        self.target = native_platform() if target == "native" else target
+        self.target = fmpy.platform_tuple if target == "native" else target
         if name == "endurance" and platform.libc_ver()[0] != "glibc":
             raise Unavailable("allocations are counted with glibc only")
         self._runner, self._environment = _runner(self.target)
@@ -216,7 +216,7 @@ class Program:
 
 def _compiler(target: str) -> tuple[str, ...]:
     compiler = find_compiler()
-    if target == native_platform():
+    if target == fmpy.platform_tuple:
         if compiler is None:
             raise Unavailable("no C compiler")
         return compiler
@@ -227,7 +227,7 @@ def _compiler(target: str) -> tuple[str, ...]:
 
 def _runner(target: str) -> tuple[list[str], dict[str, str]]:
     """The command that runs programs of a platform here, and its environment variables."""
-    if target == native_platform():
+    if target == fmpy.platform_tuple:
         return [], {}
     if target == "x86_64-windows":
         wine = (
