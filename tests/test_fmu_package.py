@@ -206,6 +206,8 @@ def test_the_command_fmu_writes_a_valid_file_and_prints_what_it_holds(
     monkeypatch.chdir(tmp_path)
     command("K1")
     assert (tmp_path / "K1.fmu").exists() and "wrote K1.fmu" in capsys.readouterr().out
+    with pytest.raises(cs.ContactSystemError, match="add it to --interfaces"):
+        command("K1", "--interfaces", "ModelExchange", "--check")
 
 
 @pytest.mark.parametrize(
@@ -223,6 +225,12 @@ def test_every_scenes_fmu_agrees_with_the_reference_results_in_it(name, version,
     write_fmu(path, files)
     with pytest.raises(cs.ContactSystemError, match="off its reference results by"):
         check_fmu(path)
+
+
+def test_the_reference_results_leave_out_an_edge_at_the_end_of_the_scene(tmp_path):
+    """An FMU gives the twist after it, a plan the one before."""
+    scene = K1.replace(disturbances=[cs.ObjectRateOffset(0, 0.5, K1.duration, (0.5, 0.2))])
+    assert check_fmu(export_fmu(scene, tmp_path / "x.fmu")) < 1e-12
 
 
 def test_scenes_of_any_name_have_file_names_that_every_system_allows(monkeypatch, tmp_path):
