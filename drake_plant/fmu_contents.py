@@ -24,15 +24,10 @@ def read_description(fmu: Path, folder: Path) -> Any:
             f"{fmu}: its modelDescription.xml is not one of FMI 2 or 3: {type(error).__name__}: "
             f"{error}; export it again"
         ) from error
-    if not description.fmiVersion.startswith(("2.", "3.")):
+    if description.fmiVersion[0] not in "23" or description.coSimulation is None:
         raise ContactSystemError(
-            f"{fmu} is of FMI {description.fmiVersion}; FmuSystem runs 2.0 and 3.0: "
-            "export it again as one of them"
-        )
-    if description.coSimulation is None:
-        raise ContactSystemError(
-            f"{fmu} has no co-simulation interface, and FmuSystem has no solver for others: "
-            "export it again with co-simulation"
+            f"{fmu} has no co-simulation interface of FMI 2 or 3, and FmuSystem has no solver for "
+            "others: export it again with co-simulation"
         )
     return description
 

@@ -34,8 +34,6 @@ from .fmu_contents import PortVariables, carried, library_of, read_description, 
 Names = str | Sequence[str]
 Given = Iterable[tuple[PortVariables, Array]]  # of each input port: its variables, and values
 
-SLACK = 1e-6
-"""Greatest difference of the Context's time and the FMU's, as a part of a step."""
 WARNING, FATAL = 1, 4  # statuses, the same in FMI 2 and 3
 
 _CALLBACKS: list[Any] = []
@@ -141,8 +139,6 @@ class Instance:
         if isinstance(value, (str, tuple)) or not carried(variable):
             return
         given, size = np.ravel(value), size_of(variable)
-        if given.dtype == object and all(isinstance(x, int) for x in given):
-            given = given.astype(float)  # integers beyond 64 bits
         problem: str | None = f"{variable.name} = {value!r}: give {size} of type {variable.type}"
         if variable.causality == "structuralParameter":
             problem = f"{variable.name} is a structural parameter; export the FMU with its value"
@@ -189,8 +185,8 @@ class Instance:
                     raise
             else:
                 if self.version == 3:
-                    _, ends, early, last = done
-                    if early and not ends and last < time + (1 - SLACK) * step:
+                    _, ends, early, _ = done
+                    if early and not ends:
                         raise FMICallException("fmi3DoStep, early return,", 2)
             # A multiple of the step, as Drake's own samples: a sum would add up rounding errors.
             return self._here(round(time / step + 1) * step, stepped=True, ends=ends)
@@ -219,14 +215,13 @@ class Instance:
             return
         state = self._states.get(id(moment))
         if state is None:
-            why = "it has been reloaded since"
-            if not self._keeps_states:
-                now = "has failed" if self._at is None else f"is at t = {self._at.time:.6g} s"
-                why = f"it {now}, and has no way back (canGetAndSetFMUstate is not true)"
+            now = "has failed" if self._at is None else f"is at t = {self._at.time:.6g} s"
             raise ContactSystemError(
-                f"{self.name}: the FMU cannot go to this Context's t = {moment.time:.6g} s: {why}. "
-                "Step one Context at a time, only forward, and begin again with a default Context "
-                "and Simulator.Initialize(); or make an FmuSystem for each Context"
+                f"{self.name}: the FMU cannot go to this Context's t = {moment.time:.6g} s: it "
+                f"{now}, and has no way back (it keeps states only with canGetAndSetFMUstate, and "
+                "until it is reloaded). Step one Context at a time, only forward, and begin again "
+                "with a default Context and Simulator.Initialize(); or make an FmuSystem for each "
+                "Context"
             )
         with self._doing("return to an earlier state", moment.time):
             self._fmu.setFMUState(state)
@@ -298,8 +293,6 @@ class Instance:
 
 
 def _unpacked(path: Path, made: contextlib.ExitStack) -> Path:
-    if not path.exists():
-        raise ContactSystemError(f"there is no {path}: give an FMU or its folder")
     folder = _new_folder(made)
     with opened(path, "an FMU") as archive:
         archive.extractall(folder)  # never outside of it, whatever the names of members

@@ -20,8 +20,11 @@ except ImportError as error:
     raise ImportError('FmuSystem needs fmpy: pip install "contact-system[fmu]"') from error
 
 from .fmu_contents import PortVariables
-from .fmu_instance import SLACK, Given, Instance, Moment, Names
+from .fmu_instance import Given, Instance, Moment, Names
 from .lifetimes import NO_DICTIONARY, weakly
+
+SLACK = 1e-6
+"""Greatest difference of the Context's time and the FMU's, as a part of a step."""
 
 
 class FmuSystem(LeafSystem):
