@@ -205,7 +205,7 @@ def _numbers(owner: str, surface: Surface) -> Iterator[Variable]:
         text = f"Parameter {name} of the {owner.rpartition('.')[2]}'s surface"
         if isinstance(surface, OfLengths):
             least = min(1e-6, 1e-3 * value)
-            yield _parameter(*named, METRE, text, minimum=least, nominal=value or None)
+            yield _parameter(*named, METRE, text, minimum=least, nominal=value)
         else:
             unit, more = METRE if name.startswith("center[") else None, dict[str, Any]()
             if isinstance(surface, Quadric):  # whose numbers depend on each other
