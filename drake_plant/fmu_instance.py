@@ -86,11 +86,14 @@ class Instance:
         self._log: collections.deque[tuple[int, str]] = collections.deque(maxlen=20)
         self._path = path = a_path(fmu, "FmuSystem: fmu")
         with contextlib.ExitStack() as made:
-            self._folder = path.resolve() if path.is_dir() else _unpacked(path, made)
-            self.description = read_description(path, self._folder)
+            folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
+            self._folder = Path(made.enter_context(folder))
+            if not path.is_dir():
+                with opened(path, "an FMU") as archive:
+                    archive.extractall(self._folder)  # never outside of it, whatever names it has
+            self.description = read_description(path, path if path.is_dir() else self._folder)
             self.version = int(self.description.fmiVersion[0])
-            if self.description.coSimulation.canBeInstantiatedOnlyOncePerProcess and path.is_dir():
-                self._folder = _new_folder(made)  # so that it has a library of its own
+            if path.is_dir():  # a copy, so that each system has a library of its own
                 shutil.copytree(path, self._folder, dirs_exist_ok=True)
             self._library = library_of(path, self._folder, self.description)
             self._keeps_states = self.description.coSimulation.canGetAndSetFMUstate
@@ -123,13 +126,12 @@ class Instance:
 
     def prepare(self, start_values: Mapping[str, Any], outputs: list[PortVariables]) -> None:
         """Set what :meth:`begin` sets at the start, and what is read then and after each step."""
+        self._outputs, self._start_values = outputs, dict(start_values)
         known = {v.name: v for v in self.description.modelVariables}
         for name, value in start_values.items():
             if name not in known:
                 self._refuse_name(name, known)
             self._check_start(known[name], value)
-        self._outputs, self._start_values = outputs, dict(start_values)
-        for name, value in start_values.items():
             if isinstance(value, (list, np.ndarray)):  # fmpy takes a matrix only as one row
                 self._start_values[name] = np.array(value, object).ravel()
 
@@ -290,16 +292,3 @@ class Instance:
                 with contextlib.suppress(FMICallException):
                     fmu.terminate()
             fmu.freeInstance()
-
-
-def _unpacked(path: Path, made: contextlib.ExitStack) -> Path:
-    folder = _new_folder(made)
-    with opened(path, "an FMU") as archive:
-        archive.extractall(folder)  # never outside of it, whatever the names of members
-    return folder
-
-
-def _new_folder(made: contextlib.ExitStack) -> Path:
-    """A folder for an FMU's files, which is removed when the stack is closed."""
-    folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
-    return Path(made.enter_context(folder))

@@ -61,7 +61,7 @@ class FmuSystem(LeafSystem):
 
     When the FMU asks to end the simulation within a step, the update returns
     EventStatus.ReachedTermination and Simulator.AdvanceTo ends there. When the system is freed, so
-    is the FMU, and the folder that it was unpacked to is removed.
+    is the FMU, and the folder that it was unpacked or copied to is removed.
 
     Parameters
     ----------
