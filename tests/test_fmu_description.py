@@ -213,3 +213,5 @@ def test_terminals_for_motion_and_for_measured_inputs_have_the_same_members(meas
     kinds = "disturbance", "measured", "motion"
     assert {f"contact{i}_{kind}" for i in (1, 2, 3) for kind in kinds} == set(members)
     assert members["contact1_measured"] - members["contact1_motion"] == {"trigger"}
+    trigger = table["contact[1].measured.trigger"].reference  # outputs show what was measured
+    assert trigger in table["contact[1].slip.x"].known

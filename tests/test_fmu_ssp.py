@@ -41,7 +41,7 @@ def test_an_output_of_one_model_disturbs_a_planner(tmp_path):
 
 
 def test_an_input_of_the_system_disturbs_the_connected_planner_and_no_other(tmp_path):
-    wires = [("push", f"../right.{PUSH}"), (f"100%.{SLIP}", "first")]
+    wires = [("push", f"../right.{PUSH}"), (f"100%.{SLIP}", "first"), (f"100%.{SLIP}", "again")]
     wires += [(f"../right.{SLIP}", "second")]
     path = export_ssp({"100%": LEFT, "../right": RIGHT}, tmp_path / "two.ssp", iter(wires))
     inside = ["SystemStructure.ssd", "resources/1.fmu", "resources/2.fmu"]
@@ -49,7 +49,9 @@ def test_an_input_of_the_system_disturbs_the_connected_planner_and_no_other(tmp_
         assert archive.namelist() == inside
         for name in inside[1:]:
             assert validate_fmu(archive.extract(name, tmp_path)) == []
-    assert [c.name for c in read_ssd(str(path)).system.connectors] == ["push", "first", "second"]
+    system = read_ssd(str(path)).system
+    assert [c.name for c in system.connectors] == ["push", "first", "again", "second"]
+    assert [c.name for c in system.elements[0].connectors] == [SLIP]
     given = {"push": lambda t: 0.5 if t < 0.2 else 0.0}
     result = simulate_ssp(str(path), stop_time=0.5, step_size=STEP, input=given)
     window = cs.FingerAcceleration(0, STEP, 0.2 + STEP, (0.5, 0.0))  # a step late in fmpy
