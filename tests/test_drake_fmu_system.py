@@ -568,6 +568,14 @@ def test_the_start_value_of_a_matrix_is_given_as_a_matrix(kind, tmp_path):
     assert values(system, system.CreateDefaultContext(), "y").tolist() == sum(rotation, [])
 
 
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_planner_whose_path_has_ended_says_so(version, tmp_path):
+    scene = cs.load_scene("K1").replace(profile=cs.Profile([0.3, -0.3]))
+    simulator = Simulator(FmuSystem(export_fmu(scene, tmp_path / "K1.fmu", version), step=0.3))
+    with pytest.raises(cs.ContactSystemError, match=r"t = 0\.9 s: .*sigma is negative from"):
+        simulator.AdvanceTo(2.0)
+
+
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """A scene whose window's edges lie between steps, and its FMU of each version."""
