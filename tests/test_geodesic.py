@@ -165,6 +165,7 @@ def test_geodesics_more_than_once_around_a_waist_end_at_b():
     [
         (cs.Quadric(np.diag([1.0, 2.0, -30.0])), (0.39, -0.53), (-2.62, 0.25), 1e4),
         (cs.Torus(1.0, 0.02), (-1.38, 1.377), (1.88, 1.895), 1e7),
+        (cs.Torus(1.0, 0.99), (1.97, -3.115), (0.595, -1.624), 4.0),
     ],
 )
 def test_the_shortest_line_is_found_where_neighbouring_lines_diverge_fast(slim, a, b, parts):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -64,7 +65,8 @@ class Torus(OfLengths):
 
     @property
     def least_radius(self) -> float:
-        return self.minor
+        # at the inner rim 1/sqrt(-K), over which neighbouring geodesics part
+        return min(self.minor, math.sqrt(self.minor * (self.major - self.minor)))
 
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
         return ((hypot(x[0], x[1]) - p[0]) ** 2 + x[2] ** 2 - p[1] ** 2) / 2
