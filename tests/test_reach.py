@@ -192,7 +192,7 @@ REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
     "rests alone": ("every goal is None", lambda: cs.reach(scene(SMALL, ROUND), [None])),
     "an angle at a pole": ("pole", _reach({**WHOLE, "finger_at": (0.0, 0.0)})),
     "almost equal spheres": ("almost .* more than 2 %", _reach(WHOLE, obj=cs.Sphere(0.0401))),
-    "flat bodies": ("same Gaussian", _reach(WHOLE, cs.Plane(), cs.Quadric(np.diag([90.0, 9, 0])))),
+    "flat bodies": ("choose a ball", _reach(WHOLE, cs.Plane(), cs.Quadric(np.diag([90.0, 9, 0])))),
     "mirror images": ("leave parts", _reach(TWO_PLACES, TWIN, TWIN, MIRRORED, legs=2)),
     "a start outside its region": ("the start lies", _reach({**PLACE, "finger_within": FAR})),
     "a goal outside its region": ("the goal lies", _reach({**PLACE, "object_within": NEAR})),

@@ -302,11 +302,13 @@ class _Search:
                 "; paths without slip do, but slip leads off them; raise the gain, or let it roll"
             )
         elif self._same_curvature(0.02):
+            balls = self.aim.bodies[0].chart.great_circles
+            other = "sizes that differ by more than 2 %" if balls else "a ball for one of them"
             why += (
                 "; the finger and the object have "
                 f"{'' if self._same_curvature() else 'almost '}the same Gaussian curvature "
                 "everywhere: a place on one body determines that on the other, and the angle; "
-                "choose sizes that differ by more than 2 %, or leave parts of the goal out"
+                f"choose {other}, or leave parts of the goal out"
             )
         elif self.aim.is_pose:
             why += f"; do the bodies touch there, from outside, to {REACHED:g} of their size?"
