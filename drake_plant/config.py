@@ -1,6 +1,8 @@
 """Settings of a station: one table, the same in Python, YAML, a scene file and ``--set``."""
 
 import dataclasses
+import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -220,6 +222,15 @@ class StationConfig:
     def opened(self) -> "StationConfig":
         """The same configuration with the loop open."""
         return dataclasses.replace(self, slip_gain=0.0, restart_period=None, restart_distance=None)
+
+    def table(self) -> dict[str, Any]:
+        """A scene's ``[drake]`` table that gives this configuration, with lists for arrays."""
+
+        def plain(given: Any) -> Any:
+            return os.fspath(given) if isinstance(given, os.PathLike) else given.tolist()
+
+        table = json.loads(json.dumps(dataclasses.asdict(self), default=plain))
+        return {key: value for key, value in table.items() if value is not None}
 
     def check(self, scene: Scene) -> None:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""

@@ -74,7 +74,8 @@ class Reorientation:
     Attributes
     ----------
     hand, scene, config
-        As given, but the configuration has the hand, and as `normal_force` the planned mean.
+        As given, but the scene has the settings as its ``[drake]`` table, and the configuration has
+        the hand, and as `normal_force` the planned mean.
     rolling : Scene
         The scene with the surfaces on which pressed bodies roll, and contacts where fingers start.
     route : Scene or None
@@ -191,6 +192,7 @@ def plan_reorientation(
                 f"path: it lasts from {path.start_time():g} to {path.end_time():g} s, the scene "
                 f"from 0 to duration = {scene.duration:g} s; give a path within"
             )
+        scene = scene.replace(drake=config.table())
         inertia = object_inertia(scene, config)
         plan = _planned(scene, config, path, inertia, config.normal_force)
         mean = float(np.mean(np.einsum("mij,mij->mi", plan.forces, plan.normals)))

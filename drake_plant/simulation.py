@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -80,8 +80,9 @@ class SimulationResult:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the logs.
 
-        ``.npz``: the scene (as TOML text, with `config` as its [drake] table), all logs, such as
-        ``planned_slip`` and ``measured_slip``, and the other arrays, such as t and object_pose.
+        ``.npz``: a scene that gives the same result (as TOML text, with the settings as its [drake]
+        table), all logs, such as ``planned_slip`` and ``measured_slip``, and the other arrays, such
+        as t and object_pose.
         ``.csv``: forces, slip and contact points, one line for each time and contact.
 
         Raises
@@ -98,9 +99,11 @@ class SimulationResult:
             for kind in ("planned", "measured"):
                 logs |= {f"{kind}_{name}": x for name, x in getattr(self, kind).items()}
             logs |= {name: x for name, x in vars(self).items() if isinstance(x, np.ndarray)}
-            settings = {key: x for key, x in asdict(self.config).items() if x is not None}
-            scene = scene_to_toml(self.scene.replace(drake=settings))
-            np.savez_compressed(file, scene=np.array(scene), **logs)
+            np.savez_compressed(file, scene=np.array(scene_to_toml(self._given())), **logs)
+
+    def _given(self) -> Scene:
+        """A scene whose simulation gives this result."""
+        return self.scene.replace(drake=self.config.table())
 
     def _write_csv(self, file: BinaryIO) -> None:
         head = ["t [s]", "contact", "normal force [N]"]
@@ -139,6 +142,9 @@ class HandResult(SimulationResult):
     wanted_pose: Array
     q: Array
     torque: Array
+
+    def _given(self) -> Scene:
+        return self.plan.scene  # `scene` has smaller bodies, which roll alike once pressed together
 
 
 def simulate(

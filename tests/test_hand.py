@@ -4,6 +4,7 @@ import dataclasses
 import math
 import pickle
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -51,15 +52,22 @@ def test_fingers_of_a_plan_roll_and_press_as_the_object_needs(name):
 def test_fingers_of_six_joints_follow_routes_of_reach_and_can_be_filmed(tmp_path):
     scene = cs.load_scene("H5")
     table = {key: value for key, value in scene.drake.items() if key != "hand"}
-    plan = plan_reorientation(Hand(joints=6), scene.replace(drake=table))
+    table["normal_force"] = 1.0  # less than what friction needs
+    hand = Hand(joints=6, base=np.array([0.0, 0.0, -0.11]))
+    assert StationConfig(hand=Hand(Path("mine.sdf"))).table()["hand"]["model"] == "mine.sdf"
+    plan = plan_reorientation(hand, scene.replace(drake=table))
     strong = own_hand(AZIMUTHS, 6).replace("<effort>0.7", "<effort>7")
     slides = re.sub('(joint_4" type=")revolute', r"\1prismatic", strong)
     cannot = hand_plan(hand=file_table(tmp_path, slides), turn=[[0, 0, 5]])
     assert plan.slip.max() < 1e-8 and cannot.route is hand_plan().route is None
     points = cs.plan(plan.route).points(plan.t - plan.t[0])
     np.testing.assert_allclose(plan.points, points, atol=1e-11)
-    simulate_hand(plan, 0.01, recording=tmp_path / "film.html")
+    simulate_hand(plan, 0.01, recording=tmp_path / "film.html").save(tmp_path / "H5.npz")
     assert (tmp_path / "film.html").exists()
+    (tmp_path / "H5.toml").write_text(str(np.load(tmp_path / "H5.npz")["scene"]))
+    saved = cs.load_scene(tmp_path / "H5.toml")  # with the scene's bodies, forces and hand
+    assert saved.surfaces == scene.surfaces and saved.drake["hand"]["joints"] == 6
+    assert saved.drake["normal_force"] == table["normal_force"] < plan.config.normal_force
     with pytest.raises(cs.SceneError, match="0.0001 s .* of at least one step"):
         simulate_hand(plan, 1e-4)
 
