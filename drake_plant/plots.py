@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import correlate1d
+from scipy.ndimage import uniform_filter1d
 
 from contact_system import Plan, plan
 from contact_system.checks import Array, of_kind
@@ -27,7 +27,7 @@ from .simulation import HandResult, SimulationResult
 SMOOTH = 0.02  # s over which the bold line of a rippling signal is averaged
 BOLD = f"bold: mean of {1e3 * SMOOTH:g} ms"
 INTEGRATED = 1e-4  # of the greatest path speed; less slip in a plan is an error of integration
-DOTS, APART = 200, 0.02  # most dots on a planned curve; their least distance, of the picture
+APART = 0.02  # distance of dots on a planned curve, of the picture's diagonal
 
 
 def plot(
@@ -166,8 +166,7 @@ def _draw_rippling(ax: Any, t: Array, values: Array, wanted: Array, top: float) 
     late, values = t[1:], values[1:]
     _each(ax, late, values, linewidth=0.5, alpha=0.35)
     width = max(1, round(SMOOTH / (late[1] - late[0]))) if len(late) > 1 else 1
-    means = correlate1d(values, np.full(width, 1 / width), axis=0, mode="nearest")
-    _each(ax, late, means, linewidth=1.5)
+    _each(ax, late, uniform_filter1d(values, width, axis=0, mode="nearest"), linewidth=1.5)
     ax.plot(t, wanted, color=INK, linewidth=0.9, linestyle=":")
     ax.set_ylim(0.0, top or None)
 
@@ -192,17 +191,10 @@ def _draw_curves(ax: Any, result: SimulationResult, planned: Plan) -> None:
     mesh = mesh_of(planned, 1, contacts)
     draw_body(ax, mesh, curves)
     view = best_view(mesh, curves)
-    apart = APART * max(ax.dataLim.width, ax.dataLim.height)
-    dots = np.concatenate([_dots(x, apart) for x in result.planned["contact_point"].swapaxes(0, 1)])
-    seen = dots[~is_hidden(mesh, view, dots)] @ view
-    ax.plot(*seen.T[:2], linestyle="none", marker="o", markersize=1.7, color="white", zorder=7)
-
-
-def _dots(points: Array, apart: float) -> Array:
-    """Points of a curve (n, 3) to mark with dots, far enough apart not to cover the curve."""
-    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-    places = np.arange(0.0, along[-1], max(apart, along[-1] / DOTS))
-    return points[np.searchsorted(along, places)]
+    dots = {"linestyle": "none", "marker": "o", "markersize": 1.7, "color": "white"}
+    for points in result.planned["contact_point"].swapaxes(0, 1):
+        seen = points[~is_hidden(mesh, view, points)] @ view
+        ax.plot(*seen.T[:2], **dots, markevery=APART, zorder=7)
 
 
 def _key(ax: Any, result: SimulationResult) -> None:
