@@ -350,7 +350,7 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
 static int may_jump(const motion_t *m) {
   const track_t *k = m->track;
   if (!k->body) return 0;
-  if (m->finger && m->finger->in_space && any(m->finger->push)) return 1;
+  if (m->finger && m->finger->in_space) return 1;
   return k->body->panel_limit < HUGE_VAL || (k->in_space && (any(k->offset) || any(k->push)));
 }
 

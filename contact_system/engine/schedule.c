@@ -8,7 +8,7 @@
 /* Taylor's shift of a polynomial to start, by repeated Horner's schemes */
 static void shift(const double *c, int64_t n, double start, twofold_t *out) {
   for (int64_t i = 0; i < n; i++) out[i] = twofold(c[i]);
-  for (int64_t i = 0; i + 1 < n && start != 0; i++)
+  for (int64_t i = 0; i + 1 < n; i++)
     for (int64_t j = n - 2; j >= i; j--) out[j] = plus(out[j], times(twofold(start), out[j + 1]));
 }
 

@@ -93,10 +93,10 @@ static track_t *integrate_motion(course_t *c, motion_t *m) {
   return k;
 }
 
-/* The reason that `plan.explain` gives for an object that nothing accelerates */
+/* The reason that `plan.explain` gives for an object that slips, or is under a rate offset */
 static int reason_of(const course_t *c, const double *offset) {
-  if (any(offset)) return any(c->v) ? OFFSET_AND_SLIP : OFFSET;
-  return any(c->v) ? SLIPS : NO_SLIP;
+  if (!any(offset)) return SLIPS;
+  return any(c->v) ? OFFSET_AND_SLIP : OFFSET;
 }
 
 /* Length of a first panel's path at a tolerance of 1e-12; twice as much takes as many sweeps, half
@@ -212,14 +212,9 @@ static motion_t pushed_motion(course_t *c, int side, const segment_t *s, const d
   return m;
 }
 
-/* About the time constant of slip, s: 1/lam at the start or the end, where lam is less. Where sigma
-   is zero, lam is left out, as a law that cancels growth is infinite there. */
+/* About the time constant of slip, s: 1/lam at the start or the end, where lam is less */
 static double time_constant(const drive_t *d) {
-  const double ends[2] = {0.0, d->stop - d->start};
-  double lam = HUGE_VAL;
-  for (int k = 0; k < 2; k++)
-    if (sigma_at(d, ends[k]) > 0) lam = fmin(lam, gain_at(d, ends[k]));
-  return lam < HUGE_VAL ? 1.0 / fmax(lam, 1e-9) : 1e9;
+  return 1.0 / fmax(fmin(gain_at(d, 0.0), gain_at(d, d->stop - d->start)), 1e-9);
 }
 
 /* First the finger, if it is accelerated, with its W_1, then the object with V */

@@ -27,11 +27,10 @@ static inline twofold_t over(twofold_t a, twofold_t b) {
   return two_sum(q, ((a.high - p.high) - p.low + a.low - q * b.low) / b.high);
 }
 
-/* sqrt(x^2 + y^2) */
+/* sqrt(x^2 + y^2), which is not 0 */
 static inline twofold_t twofold_norm(double x, double y) {
   const twofold_t square = plus(two_product(x, x), two_product(y, y));
   const double root = sqrt(square.high);
-  if (!(root > 0)) return twofold(0.0);
   const twofold_t known = two_product(root, root);
   const twofold_t rest = plus(square, (twofold_t){-known.high, -known.low});
   return two_sum(root, rest.high / (2.0 * root));

@@ -257,10 +257,7 @@ static inline double dot(const double *a, const double *b) {
 
 /* The k of edges[k] <= x < edges[k + 1], or the first or last k; guess: the one to try first */
 static int64_t interval(const double *edges, int64_t n, double x, int64_t guess) {
-  if (guess < n && x >= edges[guess]) {
-    if (guess == n - 1 || x < edges[guess + 1]) return guess;
-    if (guess + 2 == n || x < edges[guess + 2]) return guess + 1;
-  }
+  if (x >= edges[guess] && (guess + 1 == n || x < edges[guess + 1])) return guess;
   int64_t low = 0, high = n;
   while (high - low > 1) {
     const int64_t middle = (low + high) / 2;
