@@ -320,29 +320,21 @@ static void series_through(const double *start, lanes_t v, double *out) {
 static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, lanes_t f,
                           double *out, double *end) {
   const track_t *k = m->track;
-  double error = 0.0, reached[MAX_STATES];
+  double error = 0.0;
   combine(gauss_series[0], L, m->n, f[0], L, NULL, half, out, TERMS);
   for (int64_t r = 0; r < m->n; r++) {
     double *o = out + r * TERMS;
     o[L] = half * dot(gauss_top, f[r]), o[0] += m->state[r];
     error = fmax(error, TAIL * fmax(fabs(o[L]), 0.1 * fabs(o[L - 1])) * m->scale[r]);
-    reached[r] = m->state[r] + half * dot(gauss_weight, f[r]);
+    end[r] = m->state[r] + half * dot(gauss_weight, f[r]);
   }
   if (has_v(m)) {
     const int64_t n = m->n - 2;
     series_through(m->state + n, x + n, out + n * TERMS);
-    for (int a = 0; a < 2; a++) reached[n + a] = dot(gauss_last, x[n + a]);
+    for (int a = 0; a < 2; a++) end[n + a] = dot(gauss_last, x[n + a]);
   }
-  memcpy(end, reached, (size_t)m->n * sizeof *reached);
   if (k->body && k->in_space) restore_body(w, k->body, end);
-  /* how far (x, p) is from the surface is another estimate of the error */
-  double back = 0.0, none = 0.0; /* fmax drops a NaN */
-  for (int64_t r = 0; r < m->n; r++) {
-    back = fmax(back, fabs(end[r] - reached[r]) * m->scale[r]);
-    none += 0.0 * end[r];
-  }
-  if (!(back < HUGE_VAL && none == 0.0)) return HUGE_VAL;
-  return back > 1e-13 ? fmax(error, 0.1 * back) : error;
+  return error;
 }
 
 /* Whether rates may jump: at a pole, on which chart components of a disturbance, also of the
