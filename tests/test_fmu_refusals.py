@@ -223,6 +223,10 @@ def test_a_profile_that_is_negative_at_the_start_is_refused_there_and_later_ones
     late.refused("is negative from t = 1.6 s on", lambda: late.begin(1.6, start=LINE))
     short = Instance(K1.replace(duration=1e-3), kind, version).begin(start=LINE)
     short.refused("is negative from t = 1.5 s on", short.step, 2.0)
+    short.step(1.5)
+    short.put({"contact[1].object.rate_offset.u": 0.1})
+    close(short.states()[0, 6], 0.1)  # u' of the object, which the path does not move any more
+    short.refused("is negative from t = 1.5 s on", short.step, 0.5)
 
 
 @of_blocks

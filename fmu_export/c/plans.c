@@ -32,8 +32,6 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   const leg_t leg = leg_of(c, i, 0); /* only this leg's profile can be set */
   double *b = c->scene, *row = b + S_HEADER, *next = c->scratch;
   plan_t *found;
-  c->failure = (failure_t){.code = STUCK};
-  if (!(s->end > s->begin)) return NULL;
   memcpy(row, row_of(m, i), CONTACT_SIZE * sizeof *row);
   b[S_BEGIN] = s->begin, b[S_END] = s->end, b[S_GAIN] = s->gain;
   memcpy(b + (long)b[(long)row[K_LEGS] + G_PROFILE], leg.sigma, (size_t)leg.n * sizeof *b);
@@ -105,12 +103,13 @@ static int evaluate(component_t *c, long i, double t, unsigned groups) {
 /* The shortest segment from t on */
 static double least_span(double t) { return 8 * DBL_EPSILON * fmax(1.0, t); }
 
-/* A segment's end; at an edge it is a bit later, as values at an edge are those after it. */
+/* A segment's end; at an edge it is a bit later, as values at an edge are those after it. One that
+   begins where sigma turns negative is as short as can be, and has the values there. */
 static double end_of(const component_t *c, double begin, double end, double target) {
-  end = fmin(fmax(fmax(end, target), begin + least_span(begin)), c->now->limit);
+  end = fmin(fmax(end, target), c->now->limit);
   const double edge = edge_at(c, end, 1);
   if (isfinite(edge)) end = edge + fmax(0.01 * (edge - begin), least_span(edge));
-  return fmin(end, c->now->limit);
+  return fmax(fmin(end, c->now->limit), begin + least_span(begin));
 }
 
 /* Plans a segment to its end or, if that fails, to an earlier time not before the target. */
@@ -119,7 +118,7 @@ static plan_t *plan_ahead(component_t *c, long i, segment_t *s, double target) {
   plan_t *found = plan_of(c, i, s);
   for (int k = 0; k < 2 && !found; k++) {
     s->end = end_of(c, s->begin, k ? target : fmin(end, target + 0.125 * (end - target)), target);
-    if (s->end < end && s->end > s->begin) found = plan_of(c, i, s);
+    if (s->end < end) found = plan_of(c, i, s);
   }
   if (!found) s->end = end;
   return found;
