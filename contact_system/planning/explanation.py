@@ -75,7 +75,8 @@ _REASONS = {
 def _reason(scene: Scene, contact: int, f: Fact) -> str:
     if f.reason == PUSHED:
         return _disturbances(scene, contact, f)
-    if f.reason in (SLIPS, NEGLIGIBLE) and _rests(scene, contact, f):
+    last = scene.way(contact)[-1]
+    if f.reason in (SLIPS, NEGLIGIBLE) and last.profile == STILL and f.start >= last.start:
         return "the contact rests"
     if f.reason in (OFFSET, OFFSET_AND_SLIP):
         why = _disturbances(scene, contact, f) + ", slip" * (f.reason == OFFSET_AND_SLIP)
@@ -88,12 +89,6 @@ def _reason(scene: Scene, contact: int, f: Fact) -> str:
     if f.kind == PANELS and f.by_length:
         why += "; no closed form on this surface"
     return why
-
-
-def _rests(scene: Scene, contact: int, f: Fact) -> bool:
-    """Whether the interval is after the contact's last leg."""
-    last = scene.way(contact)[-1]
-    return last.profile == STILL and f.start >= last.start
 
 
 def _disturbances(scene: Scene, contact: int, f: Fact) -> str:
