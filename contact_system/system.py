@@ -465,8 +465,6 @@ def _frames(bodies: Sequence[Surface], start: Any, spaces: Sequence[bool]) -> li
 
 def _first_frame(surface: Surface, at: tuple[float, float], theta: float) -> list[float]:
     """x, p of a moving frame at (u, v), turned by theta from the contact frame."""
-    if surface.has_chart:
-        return run_in_space(surface, "start", np.vstack([*at, theta]))[:, 0].tolist()
     point, frame = surface.point_and_frame(*at)
     return [*point, *(frame[:, :2] @ [math.cos(theta), math.sin(theta)])]
 
