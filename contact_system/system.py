@@ -458,21 +458,14 @@ def _frames(bodies: Sequence[Surface], start: Any, spaces: Sequence[bool]) -> li
     for body, at, frame, turn, space in zip(bodies, places, known, turns, spaces):
         if not space:
             x += [*at[:2], sum(at[2:], turn)]  # the place of a Moment is u, v, theta
+            continue
+        if frame:
+            point, first = np.split(np.array(frame), 2)
+            axes = np.stack([first, run_in_space(body, "second", np.vstack(frame))[:, 0]], axis=1)
         else:
-            x += _turned_frame(body, frame, turn) if frame else _first_frame(body, at, turn)
+            point, axes = body.point_and_frame(*at)
+        x += [*point, *(axes[:, :2] @ [math.cos(turn), math.sin(turn)])]
     return x
-
-
-def _first_frame(surface: Surface, at: tuple[float, float], theta: float) -> list[float]:
-    """x, p of a moving frame at (u, v), turned by theta from the contact frame."""
-    point, frame = surface.point_and_frame(*at)
-    return [*point, *(frame[:, :2] @ [math.cos(theta), math.sin(theta)])]
-
-
-def _turned_frame(surface: Surface, frame: Sequence[float], theta: float) -> list[float]:
-    """x, p of a moving frame, turned by theta."""
-    second = run_in_space(surface, "second", np.vstack(frame))[:, 0]
-    return [*frame[:3], *(math.cos(theta) * np.array(frame[3:]) + math.sin(theta) * second)]
 
 
 # --- on the engine -------------------------------------------------------------------------------
