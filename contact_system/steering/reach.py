@@ -235,7 +235,9 @@ class _Search:
             rows = [self._planned(more)[1] - self._planned(less)[1] for more, less in both]
             slopes = np.transpose(rows) / (2 * DIFFERENCE)
             slopes[:, np.abs(z) >= most] = 0.0  # a leg of the greatest length keeps it
-            z = np.clip(z - unit * np.linalg.lstsq(slopes, gap, rcond=1e-9)[0], -most, most)
+            step = np.linalg.lstsq(slopes, gap, rcond=1e-9)[0]
+            step /= max(1.0, np.abs(step).max())  # where slopes almost vanish it leads far away
+            z = np.clip(z - unit * step, -most, most)
             scene, gap = self._planned(z)
         return z, scene, float(np.linalg.norm(gap))
 
