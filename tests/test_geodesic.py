@@ -198,7 +198,9 @@ def test_geodesics_of_arrays_of_points_have_their_broadcast_shape():
     points = lines.points([[0.0, 0.1]])
     assert points.shape == (1, 2, 2, 3, 3)
     assert points[0, 0, 1, 2] == pytest.approx(ELLIPSOID.point(0.5, 0.3), abs=1e-15)
-    assert cs.geodesic(ELLIPSOID, a[0, 0], b[0]).points(0.1) == pytest.approx(points[0, 1, 0, 0])
+    alone = cs.geodesic(ELLIPSOID, a[0, 0], b[0])
+    assert alone.points(0.1) == pytest.approx(points[0, 1, 0, 0])
+    assert np.array_equal(alone.points([0.1, 9.0])[0], alone.points(0.1))  # has steps of its own
 
 
 SHEETS = cs.Quadric(np.diag([1.0, -1.0, -1.0]))

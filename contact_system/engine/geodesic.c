@@ -1,8 +1,8 @@
 /* Geodesics with the Jacobi fields along them, a lane each.
 
    The explicit method of order 8 of Dormand and Prince, with its estimate of errors (Hairer,
-   Norsett, Wanner, Solving Ordinary Differential Equations I, II.5). Lengths run from 0 to 1, so
-   that geodesics of any lengths share their steps. */
+   Norsett, Wanner, Solving Ordinary Differential Equations I, II.5). Each lane has steps of its
+   own: on thin bodies they are short only near the rim, which lanes pass at different lengths. */
 
 enum { FIELDS = 4, MOST_ROWS = 6 + FIELDS, SHOWN = 9 + FIELDS, SAMPLED = 4 };
 enum { MOST_STEPS = 100000, MOST_BRIEF = 1000 };
@@ -18,6 +18,8 @@ typedef struct {
   int in_space, state, rows; /* numbers of a state, without and with Jacobi fields */
   int lost[L];               /* lanes that cannot be followed */
   double length[L], tolerance;
+  double tau[L], step[L]; /* the part of the length that is done, and that of the next step */
+  int brief[L];           /* steps below BRIEF without a longer one */
   double y[MOST_ROWS][L], next[MOST_ROWS][L], k[STAGES][MOST_ROWS][L], unit[MOST_ROWS][L];
   double before[SHOWN][L], shown[SHOWN][L];
 } lines_t;
@@ -29,11 +31,10 @@ static void rates_of(lines_t *g, lanes_t y, lanes_t out) {
     EACH_LANE(i) out[r][i] = g->length[i] * found[r][i];
 }
 
-/* y + h sum of a_j k_j, or that sum alone; TOGETHER rows at once, as processors add several numbers
+/* y + step sum of a_j k_j, or without y; TOGETHER rows at once, as processors add several numbers
    in the time that one takes */
 enum { TOGETHER = 2 };
-static void combine_stages(const lines_t *g, const double *a, int n, double h, int added,
-                           lanes_t out) {
+static void combine_stages(const lines_t *g, const double *a, int n, int added, lanes_t out) {
   for (int r = 0; r < g->rows; r += TOGETHER) {
     wide_t sum[TOGETHER][PARTS];
     UNROLLED(q, TOGETHER)
@@ -46,6 +47,7 @@ static void combine_stages(const lines_t *g, const double *a, int n, double h, i
     UNROLLED(q, TOGETHER)
       UNROLLED(p, PARTS) {
         const wide_t y = *(const wide_t *)(g->y[r + q] + p * WIDE);
+        const wide_t h = *(const wide_t *)(g->step + p * WIDE);
         *(wide_t *)(out[r + q] + p * WIDE) = added ? y + h * sum[q][p] : h * sum[q][p];
       }
   }
@@ -69,15 +71,15 @@ static void find_units(lines_t *g) {
 }
 
 /* A step from g->y, k[0] known, to g->next; the error of each lane in tolerances */
-static void try_step(lines_t *g, double h, double *error) {
+static void try_step(lines_t *g, double *error) {
   double fifth[MOST_ROWS][L], third[MOST_ROWS][L], a[L] = {0}, b[L] = {0};
   for (int s = 1; s < STAGES; s++) {
-    combine_stages(g, dop853_stage[s], s, h, 1, g->next);
+    combine_stages(g, dop853_stage[s], s, 1, g->next);
     rates_of(g, g->next, g->k[s]);
   }
-  combine_stages(g, dop853_result, STAGES, h, 1, g->next);
-  combine_stages(g, dop853_error_5, STAGES, h, 0, fifth);
-  combine_stages(g, dop853_error_3, STAGES, h, 0, third);
+  combine_stages(g, dop853_result, STAGES, 1, g->next);
+  combine_stages(g, dop853_error_5, STAGES, 0, fifth);
+  combine_stages(g, dop853_error_3, STAGES, 0, third);
   for (int r = 0; r < g->rows; r++)
     EACH_LANE(i) {
       const double per = 1.0 / (g->unit[r][i] * g->tolerance), x = fifth[r][i] * per,
@@ -86,6 +88,11 @@ static void try_step(lines_t *g, double h, double *error) {
     }
   for (int i = 0; i < L; i++)
     error[i] = a[i] == 0.0 ? 0.0 : a[i] / sqrt((a[i] + 0.01 * b[i]) * g->rows);
+}
+
+/* The factor from a step with an error, in tolerances, to the next */
+static double change_of_step(double error) {
+  return isfinite(error) ? 0.9 / sqrt(sqrt(sqrt(fmax(error, 1e-30)))) : 0.0;
 }
 
 /* x p q J J' M M' of g->y */
@@ -97,77 +104,89 @@ static void show(lines_t *g) {
   copy_rows(g->shown + 9, g->y + g->state, FIELDS);
 }
 
-/* x and J at the parts of the length within a step, by Hermite's cubics */
-static void sample(const lines_t *g, double tau, double h, int64_t m, int64_t n, int count,
-                   double *path) {
-  for (int64_t k = (int64_t)floor(tau * (double)m) + 1; k <= m; k++) {
-    const double x = ((double)k / (double)m - tau) / h;
+/* x and J of a lane at the parts of its length within the step just taken, by Hermite's cubics */
+static void sample(const lines_t *g, int i, int64_t m, int64_t n, double *path) {
+  const double h = g->step[i];
+  for (int64_t k = (int64_t)floor(g->tau[i] * (double)m) + 1; k <= m; k++) {
+    const double x = ((double)k / (double)m - g->tau[i]) / h;
     if (x > 1.0 + 1e-9) return;
     const double up = x * x * (3.0 - 2.0 * x), left = x * (1.0 - x) * (1.0 - x),
                  right = x * x * (x - 1.0);
     for (int r = 0; r < SAMPLED; r++) {
       const int at = r < 3 ? r : 9, slope = r < 3 ? 3 + r : 10;
-      for (int i = 0; i < count; i++)
-        path[((k - 1) * SAMPLED + r) * n + i] =
-            (1.0 - up) * g->before[at][i] + up * g->shown[at][i] +
-            h * g->length[i] * (left * g->before[slope][i] + right * g->shown[slope][i]);
+      path[((k - 1) * SAMPLED + r) * n + i] =
+          (1.0 - up) * g->before[at][i] + up * g->shown[at][i] +
+          h * g->length[i] * (left * g->before[slope][i] + right * g->shown[slope][i]);
     }
   }
 }
 
-/* Gives up lanes that cannot be followed: they stand still from here on. */
-static void give_up(lines_t *g, const double *error, double allowed) {
-  for (int i = 0; i < L; i++) {
-    if (error && error[i] <= allowed) continue;
-    g->length[i] = 0.0, g->lost[i] = 1;
-    for (int r = 0; r < g->rows; r++)
-      if (!isfinite(g->y[r][i])) g->y[r][i] = 0.0;
+/* Gives up a lane that cannot be followed: it stands still from here on. */
+static void give_up(lines_t *g, int i) {
+  g->length[i] = 0.0, g->lost[i] = 1, g->step[i] = 1.0 - g->tau[i];
+  for (int r = 0; r < g->rows; r++) g->next[r][i] = isfinite(g->y[r][i]) ? g->y[r][i] : 0.0;
+}
+
+/* Whether a lane goes on from a step; if not, its next one is shorter. */
+static int settle(lines_t *g, int i, double error, int64_t tries) {
+  /* After 64 brief steps the shortest is twice as long, and so on: it may be too short to change
+     the last digit of x. */
+  const int brief = g->brief[i];
+  const int shortest = g->step[i] <= LEAST_STEP * (1 << brief / 64) || brief > MOST_BRIEF;
+  const double allowed = brief > MOST_BRIEF ? EASY
+                         : shortest         ? fmax(JUMP / g->tolerance, 1.0)
+                                            : 1.0;
+  if (error <= allowed && tries < MOST_STEPS) return 1;
+  if (shortest || tries == MOST_STEPS) return give_up(g, i), 1;
+  g->step[i] *= fmax(change_of_step(error), 0.2);
+  return 0;
+}
+
+/* Goes on along the lanes that have settled. */
+static void go_on(lines_t *g, const int *settled) {
+  for (int r = 0; r < g->rows; r++)
+    EACH_LANE(i) g->y[r][i] = settled[i] ? g->next[r][i] : g->y[r][i];
+  if (g->in_space) {
+    copy_rows(g->restore.r, g->y, 6);
+    lanes_t restored = run(&g->restore);
+    for (int r = 0; r < 6; r++)
+      EACH_LANE(i) g->y[r][i] = settled[i] ? restored[r][i] : g->y[r][i];
   }
+  copy_rows(g->before, g->shown, SHOWN);
+  show(g);
 }
 
 static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
-  double longest = 0.0, error[L];
-  for (int i = 0; i < L; i++) longest = fmax(longest, fabs(g->length[i]));
-  const double first = fmin(g->geodesic->first / longest, 1.0);
-  double most = g->geodesic->longest / longest, tau = 0.0, h = first;
-  int fresh = 1, brief = 0;
+  double error[L];
+  int settled[L], going = 1, fresh = 1;
+  for (int i = 0; i < L; i++) {
+    g->tau[i] = g->lost[i] ? 1.0 : 0.0, g->brief[i] = 0;
+    g->step[i] = fmin(g->geodesic->first / fabs(g->length[i]), 1.0);
+  }
   show(g);
-  for (int64_t tries = 0; tau < 1.0; tries++) {
-    if (tries == MOST_STEPS) give_up(g, NULL, 0.0), most = INFINITY, h = fresh = 1;
-    h = fmin(h, most);
-    const int last = tau + 1.001 * h >= 1.0;
-    if (last) h = 1.0 - tau;
+  for (int64_t tries = 0; going; tries++) {
+    for (int i = 0; i < L; i++) {
+      g->step[i] = fmin(g->step[i], g->geodesic->longest / fabs(g->length[i]));
+      if (g->tau[i] + 1.001 * g->step[i] >= 1.0) g->step[i] = 1.0 - g->tau[i];
+    }
     if (fresh) rates_of(g, g->y, g->k[0]), find_units(g);
-    try_step(g, h, error);
-    double worst = 0.0;
-    for (int i = 0; i < L; i++)
-      if (!g->lost[i]) worst = fmax(worst, isnan(error[i]) ? HUGE_VAL : error[i]);
-    /* After 64 brief steps the shortest is twice as long, and so on: it may be too short to change
-       the last digit of x. */
-    const int shortest = h <= ldexp(LEAST_STEP, brief / 64) || brief > MOST_BRIEF;
-    const double allowed = brief > MOST_BRIEF ? EASY
-                           : shortest         ? fmax(JUMP / g->tolerance, 1.0)
-                                              : 1.0;
-    fresh = worst <= allowed;
-    const double ratio = 0.9 * pow(fmax(worst, 1e-30), -1.0 / 8);
-    if (!fresh) {
-      h *= fmax(ratio, 0.2);
-      if (!shortest) continue;
-      give_up(g, error, allowed);
-      h = first, fresh = 1, brief = 0; /* the other lanes begin anew */
-      continue;
+    try_step(g, error);
+    fresh = going = 0;
+    for (int i = 0; i < L; i++) {
+      settled[i] = g->tau[i] < 1.0 && settle(g, i, error[i], tries);
+      fresh |= settled[i];
     }
-    copy_rows(g->y, g->next, g->rows);
-    if (g->in_space) {
-      copy_rows(g->restore.r, g->y, 6);
-      copy_rows(g->y, run(&g->restore), 6);
+    if (fresh) go_on(g, settled);
+    for (int i = 0; i < L; i++) {
+      if (settled[i]) {
+        if (path && i < count) sample(g, i, m, n, path);
+        g->brief[i] = g->step[i] < BRIEF ? g->brief[i] + 1 : 0;
+        const int last = g->step[i] == 1.0 - g->tau[i];
+        g->tau[i] = last ? 1.0 : g->tau[i] + g->step[i];
+        g->step[i] *= fmin(change_of_step(error[i]), 6.0);
+      }
+      going |= g->tau[i] < 1.0;
     }
-    copy_rows(g->before, g->shown, SHOWN);
-    show(g);
-    if (path) sample(g, tau, h, m, n, count, path);
-    tau = last ? 1.0 : tau + h;
-    brief = h < BRIEF ? brief + 1 : 0;
-    h *= fmin(ratio, 6.0);
   }
 }
 
