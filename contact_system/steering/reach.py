@@ -32,7 +32,7 @@ REACHED = 1e-12
 """Error at which a goal is reached: of places as a fraction of the size, of angles in rad."""
 TOLERANCE = 1e-14
 """Error of the plan of a path, as a fraction of the size."""
-COARSE = 1e-8
+COARSE = 1e-6
 """Error of a step of a geodesic, as a fraction of the size, in a search of many paths."""
 NEAR, NEARER = 1e-4, 1e-7
 """Errors at the goal before the last step, which squares them: of one of many paths, of a route."""
