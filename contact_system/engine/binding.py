@@ -104,7 +104,7 @@ class Steer(Structure):
         ("rotation", c_double * 9),
         ("origin", c_double * 3),
         *_each(c_double, "size longest tolerance reached"),
-        *_each(c_int64, "has_rotation is_pose parts"),
+        *_each(c_int64, "has_rotation is_pose parts steps"),
     ]
 
 

@@ -184,6 +184,7 @@ typedef struct {
   double tolerance, reached; /* of the geodesics; error at which the goal is met, in sizes */
   int64_t has_rotation, is_pose; /* whether the goal has a rotation, and an origin too */
   int64_t parts;                 /* of each leg, at whose ends `within` is checked */
+  int64_t steps;                 /* of geodesics, 16 at once, counted over all searches */
 } steer_t;
 
 typedef struct {
@@ -219,7 +220,7 @@ typedef struct {
      at a time may use. */
   int (*evaluate_at)(plan_t *plan, double t, double *const *out, failure_t *failure);
   /* paths of n legs to a goal: see steer.c */
-  int (*steer)(const steer_t *aim, int64_t n, int64_t count, double (*z)[L], double *off,
+  int (*steer)(steer_t *aim, int64_t n, int64_t count, double (*z)[L], double *off,
                double *squares);
   /* of a polynomial: see polynomial.h */
   int64_t (*sign_changes)(const double *c, int64_t n, int64_t order, double a, double b,

@@ -20,6 +20,7 @@ typedef struct {
   double length[L], tolerance;
   double tau[L], step[L]; /* the part of the length that is done, and that of the next step */
   int brief[L];           /* steps below BRIEF without a longer one */
+  int64_t tries;          /* steps of all lanes at once, so far */
   double y[MOST_ROWS][L], next[MOST_ROWS][L], k[STAGES][MOST_ROWS][L], unit[MOST_ROWS][L];
   double before[SHOWN][L], shown[SHOWN][L];
 } lines_t;
@@ -170,7 +171,7 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path) {
       if (g->tau[i] + 1.001 * g->step[i] >= 1.0) g->step[i] = 1.0 - g->tau[i];
     }
     if (fresh) rates_of(g, g->y, g->k[0]), find_units(g);
-    try_step(g, error);
+    try_step(g, error), g->tries++;
     fresh = going = 0;
     for (int i = 0; i < L; i++) {
       settled[i] = g->tau[i] < 1.0 && settle(g, i, error[i], tries);

@@ -384,7 +384,7 @@ static void search(search_t *w, int64_t count, double (*z)[L]) {
 /* Improves directions and lengths z[2 n][L] of `count` trials until some meet the goal; these take
    a last step, unless it is a long one. Before that step, off[L] is how far from the goal paths
    end, and squares[2 n][2 n][L] are slopes^T slopes of the equations. */
-static int steer(const steer_t *aim, int64_t legs, int64_t count, double (*z)[L], double *off,
+static int steer(steer_t *aim, int64_t legs, int64_t count, double (*z)[L], double *off,
                  double *squares) {
   const int n = 2 * (int)legs;
   search_t *w = calloc(1, sizeof *w);
@@ -407,8 +407,10 @@ static int steer(const steer_t *aim, int64_t legs, int64_t count, double (*z)[L]
       copy_lanes(squares + (i * n + j) * L, w->best.square[i][j]);
       copy_lanes(squares + (j * n + i) * L, w->best.square[i][j]);
     }
-  for (int side = 0; side < 2; side++)
+  for (int side = 0; side < 2; side++) {
+    aim->steps += w->rolled[side].lines.tries;
     drop_lines(&w->rolled[side].lines), free(w->rolled[side].shape.r);
+  }
   free(w);
   return ready ? NO_FAILURE : NO_MEMORY;
 }

@@ -39,6 +39,8 @@ NEAR, NEARER = 1e-4, 1e-7
 STARTS, ROUNDS, LONGER = 128, 8, 1.5
 """Random starts for each number of legs in a round of the search, rounds, and the factor by which
 legs grow from round to round: on bodies of almost one form curves differ only after many turns."""
+ENOUGH_STEPS = 1_500_000
+"""Steps of geodesics, 16 at once, after which no further round begins: each takes 2 to 5 us."""
 CORRECTIONS, DIFFERENCE = 8, 1e-6
 """Most corrections of a path for slip, and the unknowns' step in difference quotients, in units."""
 SAMPLES = 201
@@ -187,7 +189,8 @@ class _Search:
                     rolls = None if legs else self._four_rolls(route.length)
                     how = f"{n} leg{'s' * (n > 1)}, {(batch + 1) * LANES} starts"
                     return self._shorter(rolls or route, counts, until), how
-            if counts[0] < self.aim.fewest or self._same_curvature():
+            hopeless = counts[0] < self.aim.fewest or self._same_curvature()
+            if hopeless or self.aim.steps > ENOUGH_STEPS:
                 break
         raise SceneError(self._refusal(counts, batches.stop * LANES))
 
