@@ -311,7 +311,7 @@ def test_a_step_that_would_take_too_many_pieces_is_refused(version):
     one.refused("too long", one.step, 50.0)
     one.step(1e-3)
     one.put({PUSH: 1e100})  # no plan can be made with it, and so there are no derivatives
-    one.refused("too long", one.directional, ["der(contact[1].frame.slip.x)"], [PUSH], [1.0])
+    one.refused("too fast", one.directional, ["der(contact[1].frame.slip.x)"], [PUSH], [1.0])
 
 
 @of_blocks

@@ -553,6 +553,16 @@ def test_paths_so_long_that_rounding_leaves_few_digits_are_refused():
             cs.plan(alone(cs.Sphere(0.1), profile=(1.0,), finger_velocity=(speed, 0.0)))
 
 
+def test_only_the_product_of_sigma_and_velocity_counts_under_accelerations():
+    push = [cs.FingerAcceleration(0, 0.1, 0.6, (3.0, 1.0))]
+    given = {"object_velocity": "rest", "gain": cs.Gain.time(3.0), "disturbances": push}
+    found, expected = (
+        cs.plan(alone(cs.Torus(0.3, 0.1), profile=(sigma,), finger_velocity=w, **given))
+        for sigma, w in ((1e-10, (6e8, 8e8)), (0.1, (0.6, 0.8)))
+    )
+    assert np.abs(found.points(TIMES) - expected.points(TIMES)).max() < 1e-14
+
+
 def test_a_path_of_too_many_panels_is_refused_with_the_cause(monkeypatch):
     monkeypatch.setattr(cs.limits, "PANELS", 1e4)  # for a short test
     far = cs.ImplicitSurface("(x-1e4)**2 + y**2 + 2*z**2 - 0.01", size=0.1, center=(1e4, 0, 0))

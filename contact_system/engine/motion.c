@@ -396,6 +396,18 @@ static double rounding(const motion_t *m, const nodes_t *at, double half, double
   return 2e-16 * fmax(terms - exponent_at(d, after), 0.0) * m->slip * half * most * scale;
 }
 
+/* Under accelerations, errors of W_1 and V are measured in no less than the rounding of W_1, which
+   is large where sigma is small, or of W_2 and V: no sweep and no shorter panel avoids it. */
+static void allow_rounding(motion_t *m, const nodes_t *at) {
+  double *scale = m->scale + m->n - 2, great = 0.0;
+  if (!m->pushed) return;
+  for (int a = 0; a < 2; a++) {
+    great = fmax(great, fabs(m->state[m->n - 2 + a]));
+    if (has_v(m)) great = fmax(great, fabs(at->w2[a][L - 1]));
+  }
+  for (int a = 0; a < 2; a++) scale[a] = fmin(scale[a], m->tolerance / (ROUNDING * great));
+}
+
 /* Whether a panel up to `after` is accepted, for its error; then m->state becomes its end. Sets the
    length of the next panel to try. */
 static int judge_panel(motion_t *m, step_t *s, double after, double error, double allowed,
@@ -431,6 +443,7 @@ static int try_panel(work_t *w, motion_t *m, step_t *s, double *out) {
   nodes_t at;
   for (int i = 0; i < L; i++) t[i] = tau + half * (1.0 + gauss_node[i]);
   fill_nodes(w, m, t, &at);
+  allow_rounding(m, &at);
   at.allowed = fmax(m->tolerance, rounding(m, &at, half, after));
   if (has_v(m)) invert_implicit(at.lam, half, at.inverse);
   first_guess(m, s, span, out, x);
