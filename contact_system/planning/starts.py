@@ -52,7 +52,7 @@ def measured_start(
     and v2'. Refuses NaN, sigma = 0, a pole, and coordinates outside the chart.
     """
     where = f"{scene.title}, restart at t = {t:g} s, {scene.contact_title(index)}"
-    sigma = float(speed(scene.way(index), np.array(t)))
+    sigma = float(speed(scene.way(index), t))
     if not np.isfinite(row).all():
         raise SceneError(
             f"{where}: the measured state has {row[~np.isfinite(row)][0]}; leave such a "

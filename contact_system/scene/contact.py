@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..checks import did_you_mean, finite_number, finite_numbers, of_kind, within
 from ..errors import SceneError
@@ -192,10 +193,10 @@ class Turning:
         object.__setattr__(self, "angle", finite_numbers(self.angle, "angle"))
         within("COEFFICIENTS", len(self.angle), "angle: coefficients")
 
-    def rotation_vector(self, t) -> np.ndarray:
+    def rotation_vector(self, t: ArrayLike) -> np.ndarray:
         """p(t) axis [rad], shape t.shape + (3,); t [s]."""
         return np.multiply.outer(np.asarray(Profile(self.angle)(t)), self.axis)
 
-    def angular_velocity(self, t) -> np.ndarray:
+    def angular_velocity(self, t: ArrayLike) -> np.ndarray:
         """p'(t) axis [rad/s], shape t.shape + (3,); t [s]."""
         return np.multiply.outer(np.asarray(Profile(self.angle).rate(t)), self.axis)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..checks import finite_number, naming, of_kind
 from ..errors import SceneError
-from ..theory.profile import Profile, clear_value, polynomial
+from ..theory.profile import Profile, as_time, clear_value, polynomial
 
 STILL = Profile([0.0])
 STRAIGHT = (1.0, 0.0)
@@ -109,9 +109,9 @@ def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
     return tuple(result)
 
 
-def speed(way: Sequence[Stretch], t: np.ndarray) -> np.ndarray:
+def speed(way: Sequence[Stretch], t: Any) -> Any:
     """sigma at times [s], m/s."""
-    t = np.asarray(t, dtype=float)
+    t = as_time(t)
     sigma = way[0].profile(t)
     for stretch in way[1:]:
         sigma = np.where(t >= stretch.start, stretch.profile(t - stretch.start), sigma)

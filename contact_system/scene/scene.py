@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..checks import finite_number, known_keys, naming, of_kind, within
 from ..errors import ContactSystemError, SceneError
@@ -179,7 +180,7 @@ class Scene:
             return stretches(legs, self.duration)
         return (Stretch(0.0, self.duration, self.profile),)
 
-    def speeds(self, t) -> np.ndarray:
+    def speeds(self, t: ArrayLike) -> np.ndarray:
         """sigma of every contact at times t [s]: t.shape + (n_contacts,), m/s."""
         return np.stack([speed(self.way(i), t) for i in range(len(self.contacts))], axis=-1)
 

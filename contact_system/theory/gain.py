@@ -16,6 +16,7 @@ from operator import truediv
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..checks import finite_number, one_of
 from ..engine.binding import sign_changes
@@ -133,13 +134,12 @@ class Gain:
         """Name of the number in the law, such as "eta"."""
         return self.row.parameter
 
-    def rate(self, profile: Profile, t):
+    def rate(self, profile: Profile, t: ArrayLike) -> Any:
         """lam(t) [1/s]; t [s] of any shape.
 
         The guaranteed law is +inf where sigma = 0: it removes slip at once when a path starts.
         """
-        t = as_time(t)
-        sigma: Any = profile(t)
+        sigma = profile(t)
         growth: Any = 0.0
         if self.row.cancels_growth:
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -147,24 +147,24 @@ class Gain:
             growth = np.where(np.asarray(sigma) > 0, growth, np.inf)[()]
         return self.row.rate(self.value, sigma, growth)
 
-    def exponent(self, profile: Profile, t, since: float = 0.0):
+    def exponent(self, profile: Profile, t: ArrayLike, since: float = 0.0) -> Any:
         """L(t) - L(since) = int lam, closed form; t >= since [s] of any shape.
 
         For the guaranteed law each growth of sigma adds log(sigma/sigma(start of the growth)),
         which is +inf after sigma = 0. Polynomials are expanded about `since`, so that large gains
         cause no cancellation.
         """
-        t = as_time(t)
+        time = as_time(t)
         sigma = profile.shifted(since) if since else profile.coefficients
         lam = rounded(exact_product((self.value,), *[sigma] * self.row.power))
-        total = polynomial(integral(lam), t - since)
+        total = polynomial(integral(lam), time - since)
         if self.row.cancels_growth:
-            last = float(np.max(t, initial=since))
+            last = float(np.max(time, initial=since))
             for start, stop in profile.growths(since, last):
                 with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                     first = clear_value(profile.coefficients, start)
-                    ratio = np.divide(profile(np.clip(t, start, stop)), first)
-                total = total + np.where(t > start, np.log(np.maximum(ratio, 1.0)), 0.0)
+                    ratio = np.divide(profile(np.clip(time, start, stop)), first)
+                total = total + np.where(time > start, np.log(np.maximum(ratio, 1.0)), 0.0)
         return total
 
 

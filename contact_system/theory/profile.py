@@ -12,9 +12,10 @@ from fractions import Fraction
 from functools import reduce
 from itertools import zip_longest
 from operator import mul
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..caching import cached_property
 from ..checks import LARGEST, finite_number, finite_numbers, shaped_array, within
@@ -36,7 +37,7 @@ CANCELLED = 1e5  # greatest ratio of sigma's terms to sigma: sigma keeps 11 digi
 # --- polynomials -------------------------------------------------------------------------------
 
 
-def polynomial(coefficients: Sequence, t):
+def polynomial(coefficients: Sequence, t: Any) -> Any:
     """The value of a polynomial at t, numbers or symbols; coefficients from the lowest power."""
     if len(coefficients) < 2:
         return sum(coefficients, 0.0 * t)
@@ -113,15 +114,15 @@ class Profile:
         object.__setattr__(self, "coefficients", finite_numbers(self.coefficients, "profile"))
         within("COEFFICIENTS", len(self.coefficients), "profile: coefficients")
 
-    def __call__(self, t):
+    def __call__(self, t: ArrayLike) -> Any:
         """sigma(t) [m/s]; t [s] of any shape."""
         return polynomial(self.coefficients, as_time(t))
 
-    def rate(self, t):
+    def rate(self, t: ArrayLike) -> Any:
         """sigma'(t) [m/s^2]; t [s] of any shape."""
         return polynomial(self.slope, as_time(t))
 
-    def arc_length(self, t):
+    def arc_length(self, t: ArrayLike) -> Any:
         """s(t) = int_0^t sigma [m]; t [s] of any shape."""
         return polynomial(integral(self.coefficients), as_time(t))
 
@@ -206,7 +207,8 @@ class Profile:
         return derivative(self.coefficients)
 
 
-def as_time(t):
+def as_time(t: ArrayLike) -> Any:
+    """Times as an array of floats, or one time as a float."""
     if isinstance(t, float):
         return float(t)
     array = shaped_array(t, "profile at t", remedy="times in seconds")
