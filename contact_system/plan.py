@@ -150,7 +150,7 @@ class Plan:
         for name in names:
             one_of(name, SHAPES, f"{self.scene.title}: result", ContactSystemError)
         if "carried" in names:
-            self._require_frames("carried")
+            self._require_frames()
         times = _one_axis(t)
         results = self._motion.evaluate(times, names)  # None: a time is outside the horizon
         return self._motion.evaluate(self._times(times), names) if results is None else results
@@ -277,7 +277,6 @@ class Plan:
                 f"{where}: the scene has other surfaces or contacts than the plan; give a scene "
                 "with the same ones"
             )
-        self._require_frames("continued")
         for i, (old, new) in enumerate(zip(self.scene.contacts, after.contacts)):
             begun = [
                 [(leg.start, leg.turn) for leg in s.way(i) if leg.start <= t]
@@ -310,14 +309,21 @@ class Plan:
         return t
 
     def moments(self, t: float) -> Starts:
-        """The state of every contact's moving frames at time t, as :meth:`continued` uses it."""
+        """The state of every contact's moving frames at time t, as :meth:`continued` uses it.
+
+        Raises
+        ------
+        ContactSystemError
+            A time outside the horizon, or ``method="chart"``.
+        """
+        t = self._time(t)
+        self._require_frames()
         return self._motion.moments(t)
 
-    def _require_frames(self, name: str) -> None:
+    def _require_frames(self) -> None:
         if self.method == "chart":
             raise SceneError(
-                f"{self.scene.title}, {name}: method 'chart' has no parallel frames; use the "
-                "default method"
+                f"{self.scene.title}: method 'chart' has no parallel frames; use the default method"
             )
 
     def restart(self, t: float, state: ArrayLike) -> Plan:

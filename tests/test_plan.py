@@ -43,6 +43,8 @@ def test_time_outside_the_horizon_is_named_with_the_horizon(t):
             with pytest.raises(cs.ContactSystemError, match=words):
                 getattr(plan, result)(t)
         assert (plan.points(1.0 + 1e-15) == plan.points(1.0)).all()
+    with pytest.raises(cs.ContactSystemError, match=words):
+        cs.plan(one_contact()).moments(t)
 
 
 @pytest.mark.parametrize(

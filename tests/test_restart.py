@@ -177,7 +177,7 @@ def test_continuing_refuses_other_surfaces_the_end_and_imposed_rolling():
     ):
         with pytest.raises(cs.ContactSystemError, match=words):
             begun.continued(t, scene)
-    for method in ("continued", "carried"):
+    for method in ("continued", "carried", "moments"):
         with pytest.raises(cs.SceneError, match="'chart' has no parallel frames"):
             getattr(cs.plan(one_contact(), method="chart"), method)(0.5)
 
