@@ -231,6 +231,13 @@ def test_canonical_treats_one_point_and_an_array_of_one_alike(name):
             assert all(type(w) is float for w in surface.canonical(*at))
 
 
+def test_canonical_coordinates_may_be_written_to():
+    given = np.array([1.0, 2.0])
+    u, v = Plane().canonical(0.5, given)
+    u[0] = v[0] = 9.0
+    assert u[1] == 0.5 and given[0] == 1.0
+
+
 @pytest.mark.parametrize(
     "at", [(np.nan, 0.0), (0.0, np.inf), ("a", 0.0), ([1, 2], [1, 2, 3]), (None, 1.0)]
 )

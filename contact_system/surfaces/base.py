@@ -302,7 +302,8 @@ class Surface:
             if not self.chart(self.parameters).floor(us, vs) > 2 * SINGULAR * self.size:
                 self._require_regular(np.asarray(us), np.asarray(vs))
             return float(us), float(vs)
-        us, vs = self._wrap(*self._finite(u, v))
+        # copies: a chart without periods returns the coordinates given
+        us, vs = map(np.array, self._wrap(*self._finite(u, v)))
         self._require_regular(us, vs)
         return (float(us), float(vs)) if us.ndim == 0 else (us, vs)
 
