@@ -2,6 +2,7 @@
 
 import math
 import os
+import sys
 import tempfile
 from pathlib import Path
 
@@ -391,6 +392,13 @@ def test_errors_clip_long_texts_and_escape_control_characters():
 def test_a_scene_without_a_name_gets_that_of_its_file():
     text = GOOD.replace('name = "good"', "")
     assert read(text, "mine.toml").name == "mine"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are texts there")
+def test_a_scene_of_a_file_whose_name_is_no_utf_8_can_be_saved(tmp_path):
+    scene = read(GOOD.replace('name = "good"', ""), os.fsdecode(b"gr\xf6sser.toml"))
+    save_scene(scene, tmp_path / "x.toml")
+    assert load_scene(tmp_path / "x.toml") == scene and scene.name == "gr\ufffdsser"
 
 
 def test_an_unknown_scene_is_refused_with_the_nearest_name():

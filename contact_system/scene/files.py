@@ -78,7 +78,9 @@ def _scene(text: str, source: str) -> Scene:
     all_legs = isinstance(contacts, list) and all("legs" in c for c in contacts if type(c) is dict)
     motion = () if all_legs else ("duration", "profile")
     table = _table(document, SCENE_KEYS, (*motion, "object", "contacts"))
-    fields = fields_of({"name": Path(source).stem, **table})
+    # a file's name may have bytes that are no text, which no other file could hold
+    name = os.fsencode(Path(source).stem).decode(errors="replace")
+    fields = fields_of({"name": name, **table})
     for i, contact in enumerate(fields["contacts"]):
         with naming(f"contacts[{i}]"):
             refuse_degrees(contact, fields["object"], contact.finger)
