@@ -393,19 +393,18 @@ static int find_place(work_t *w, const contact_t *c, const track_t *k, double t,
 
 /* Anchors the first n tracks of a side, each from where the one before it ends. */
 static void anchor_side(work_t *w, contact_t *c, int side, int64_t n) {
-  double place[3];
+  track_t *tracks = c->tracks[side];
+  double place[3], found[3];
   int64_t known = 0;
-  while (known < n && (!c->tracks[side][known].in_space || c->tracks[side][known].n_anchors))
-    known++;
+  while (known < n && (!tracks[known].in_space || tracks[known].n_anchors)) known++;
   if (known == n) return;
-  memcpy(place, start_place(c, side), sizeof place);
-  for (int64_t i = 0; i < n; i++) {
-    track_t *k = c->tracks[side] + i;
+  int64_t last = known; /* the last track before that does not end at a pole */
+  while (last > 0 && find_place(w, c, tracks + last - 1, tracks[last - 1].stop, found)) last--;
+  memcpy(place, last > 0 ? found : start_place(c, side), sizeof place);
+  for (int64_t i = known; i < n; i++) {
+    track_t *k = tracks + i;
     if (k->in_space && !k->n_anchors) anchor_track(w, k, place);
-    if (i + 1 < n) {
-      double found[3];
-      if (!find_place(w, c, k, k->stop, found)) memcpy(place, found, sizeof place);
-    }
+    if (i + 1 < n && !find_place(w, c, k, k->stop, found)) memcpy(place, found, sizeof place);
   }
 }
 
