@@ -401,8 +401,9 @@ class Plan:
         count = whole_number(count, "count")
         grid, spacing = np.linspace(self.start, self.end, count, retstep=True)
         edges = np.array([e for e in self.scene.edges if e >= self.start])
-        same = (np.abs(grid[:, None] - edges) < 1e-9 * spacing).any(axis=1)
-        return np.union1d(grid[~same], edges)
+        hair = 1e-9 * spacing
+        first, last = np.searchsorted(edges, [grid - hair, grid + hair])
+        return np.union1d(grid[first == last], edges)
 
     def regular_times(self, t: ArrayLike) -> np.ndarray:
         """The times, s, without those at which :meth:`states` raises a ChartSingularity: (m,)."""
