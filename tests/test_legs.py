@@ -87,6 +87,10 @@ def test_legs_are_saved_and_each_contact_follows_its_own_and_rests_after_them(tm
     assert np.array_equal(rest[0], rest[1])
 
 
+def test_a_scene_lasts_as_long_as_its_legs_however_many():
+    assert scene(cs.Plane(), [cs.Leg(0.1 * k, 0.01, 0.01) for k in range(400)]).duration == 4.0
+
+
 REFUSED = {
     "length = None": lambda: cs.Leg(0.0, None, 1.0),
     r"duration = 1e\+87 s: give 1e-15 to 1e\+15 s": lambda: cs.Leg(0.0, 1.0, 1e87),

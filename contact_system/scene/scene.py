@@ -221,7 +221,7 @@ class Scene:
         put = object.__setattr__
         with_legs = [(i, c.legs) for i, c in enumerate(self.contacts) if c.legs]
         duration = self.duration or max(
-            (sum(x.duration for x in legs) for _, legs in with_legs), default=0.0
+            (math.fsum(x.duration for x in legs) for _, legs in with_legs), default=0.0
         )
         put(self, "duration", finite_number(duration, "duration", "above 0"))
         for i, legs in with_legs:
