@@ -36,9 +36,11 @@ def lines(scene: Scene, facts: Sequence[Sequence[Fact]]) -> list[str]:
 
 
 def _of_contact(scene: Scene, contact: int, facts: Sequence[Fact]) -> list[str]:
+    last = scene.way(contact)[-1]
+    rest = last.start if last.profile == STILL else math.inf
     result = [
         f"  {SIDES[f.side]:6s} [{f.start:.6g}, {f.stop:.6g}] s  {_method(f)}"
-        f"  ({_reason(scene, contact, f)})"
+        f"  ({_reason(scene, contact, rest, f)})"
         for f in facts
     ]
     return result + [f"  skipped: {text}" for text in _skipped(facts)]
@@ -72,11 +74,11 @@ _REASONS = {
 }
 
 
-def _reason(scene: Scene, contact: int, f: Fact) -> str:
+def _reason(scene: Scene, contact: int, rest: float, f: Fact) -> str:
+    """Why; rest: when the contact begins to rest after its legs, s."""
     if f.reason == PUSHED:
         return _disturbances(scene, contact, f)
-    last = scene.way(contact)[-1]
-    if f.reason in (SLIPS, NEGLIGIBLE) and last.profile == STILL and f.start >= last.start:
+    if f.reason in (SLIPS, NEGLIGIBLE) and f.start >= rest:
         return "the contact rests"
     if f.reason in (OFFSET, OFFSET_AND_SLIP):
         why = _disturbances(scene, contact, f) + ", slip" * (f.reason == OFFSET_AND_SLIP)
