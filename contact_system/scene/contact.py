@@ -195,8 +195,8 @@ class Turning:
 
     def rotation_vector(self, t: ArrayLike) -> np.ndarray:
         """p(t) axis [rad], shape t.shape + (3,); t [s]."""
-        return np.multiply.outer(np.asarray(Profile(self.angle)(t)), self.axis)
+        return np.multiply.outer(Profile(self.angle)(t), self.axis)
 
     def angular_velocity(self, t: ArrayLike) -> np.ndarray:
         """p'(t) axis [rad/s], shape t.shape + (3,); t [s]."""
-        return np.multiply.outer(np.asarray(Profile(self.angle).rate(t)), self.axis)
+        return np.multiply.outer(Profile(self.angle).rate(t), self.axis)

@@ -144,7 +144,7 @@ class Gain:
         if self.row.cancels_growth:
             with np.errstate(divide="ignore", invalid="ignore"):
                 growth = np.maximum(0.0, np.asarray(profile.rate(t)) / sigma)
-            growth = np.where(np.asarray(sigma) > 0, growth, np.inf)[()]
+            growth = np.where(sigma > 0, growth, np.inf)[()]
         return self.row.rate(self.value, sigma, growth)
 
     def exponent(self, profile: Profile, t: ArrayLike, since: float = 0.0) -> Any:
