@@ -13,15 +13,15 @@ FORMULA_NESTING = 200
 """Depth of nested operations in a formula; a sum of n terms counts n - 1."""
 COEFFICIENTS = 64
 """Coefficients of a polynomial of time, such as a profile."""
-WINDOWS = 10_000
+WINDOWS = 1e4
 """Disturbances of a scene; one on all contacts counts once for each of them."""
-PANELS = 500_000
+PANELS = 5e5
 """Panels of all contacts of a plan together, rejected ones included; each takes 5 to 20 us, and up
 to 2 kB."""
-EVALUATIONS = 120_000
+EVALUATIONS = 1.2e5
 """Evaluations of the chart equations in a plan of ``method="chart"``: 10 us each, up to 100 us more
 with an implicit solver."""
-STRIPS = 10_000
+STRIPS = 1e4
 """Strips between neighbouring directions that a search for geodesics from one point examines; each
 takes up to 5 ms. A search needs many where the least radius of curvature is tiny, or on a surface
 with many waves between the points."""
