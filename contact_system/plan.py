@@ -18,6 +18,7 @@ from .checks import finite_number, of_kind, one_of, shaped_array, whole_number
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .files import a_path, opened, writing
 from .planning.motion import SHAPES, Motion
+from .planning.saved import inputs_of, texts_of
 from .planning.starts import Starts, measured_start, on_branch
 from .scene import Scene, acting, require_scene
 
@@ -383,8 +384,6 @@ class Plan:
             if path.suffix == ".csv":
                 file.write(self._csv(t).encode())
                 return
-            from .planning.saved import texts_of  # archives are slow to import
-
             results = self.evaluate(t, "states", "slip", "twist", "pose", "points")
             np.savez_compressed(file, **texts_of(self), t=t, **results)  # type: ignore[arg-type]
 
@@ -481,8 +480,6 @@ def load(path: str | os.PathLike[str]) -> Plan:
         The file cannot be read, is not such a plan, is damaged, or exceeds a limit of
         `contact_system.limits`.
     """
-    from .planning.saved import inputs_of  # archives are slow to import
-
     path = a_path(path)
     if path.suffix == ".toml":
         raise ContactSystemError(f"{path} is a scene file: give it to load_scene, or a plan's .npz")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 from typing import TYPE_CHECKING, Any
-from zipfile import ZipFile
 
 import numpy as np
 
@@ -15,6 +14,8 @@ from ..scene import Start, scene_from_toml, scene_to_toml
 from .starts import Moment
 
 if TYPE_CHECKING:
+    from zipfile import ZipFile
+
     from ..plan import Plan
 
 KEYS = ("tolerance", "method", "solver", "start", "starts")  # arguments and attributes of a Plan
