@@ -26,7 +26,7 @@ from ..engine.binding import SURFACES, SurfaceData, address, builtin_tables, run
 from ..errors import ChartSingularity, SurfaceError
 from ..theory import symbols as ca
 from ..theory.development import IN_SPACE
-from ..theory.geometry import QUANTITIES, ROWS, ChartGeometry, chart_geometry
+from ..theory.geometry import QUANTITIES, ROWS, ChartGeometry, tangent_geometry
 from ..theory.lowering import lowered
 from .charts import Chart, Frame, Pair, Periods
 
@@ -201,8 +201,11 @@ class Surface:
 
     def geometry_expr(self, numbers: ca.SX, place: ca.SX) -> ChartGeometry:
         """Return every metric quantity at the symbols ``place``: (u, v), or x without a chart."""
-        chart = self.chart_expr(numbers, place[0], place[1])
-        return chart_geometry(chart, place, self.chart.orthogonal)
+        point = self.chart_expr(numbers, place[0], place[1])
+        f_u, f_v = ca.horzsplit(ca.jacobian(point, place))
+        f_uu, f_uv = ca.horzsplit(ca.jacobian(f_u, place))
+        second = f_uu, f_uv, ca.jacobian(f_v, place[1])
+        return tangent_geometry(point, f_u, f_v, second, self.chart.orthogonal)
 
     def level_geometry(self, p: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return the level function, its gradient and Hessian, in symbols of `parameters` and x.

@@ -85,13 +85,6 @@ def contact_frame(f_u: ca.SX, f_v: ca.SX, orthogonal: bool = False) -> tuple[ca.
     return x, across / h_across, metric_root
 
 
-def chart_geometry(f: ca.SX, uv: ca.SX, orthogonal: bool) -> ChartGeometry:
-    """Return every metric quantity of the chart ``f(u, v)``, (3, 1), m, of symbols (u, v)."""
-    f_u, f_v = ca.horzsplit(ca.jacobian(f, uv))
-    f_uu, f_uv = ca.horzsplit(ca.jacobian(f_u, uv))
-    return tangent_geometry(f, f_u, f_v, (f_uu, f_uv, ca.jacobian(f_v, uv[1])), orthogonal)
-
-
 def tangent_geometry(
     point: ca.SX, f_u: ca.SX, f_v: ca.SX, second: Sequence[ca.SX], orthogonal: bool = False
 ) -> ChartGeometry:
