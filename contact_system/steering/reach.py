@@ -142,13 +142,6 @@ def _length(z: Array) -> float:
     return float(np.abs(z[len(z) // 2 :]).sum())
 
 
-def _starts(n: int, batch: int) -> Array:
-    """16 random paths of n legs, (2 n, 16): directions, and lengths from 0.5 to 3."""
-    rng = random.Random(f"{n} {batch}")  # numpy's takes 9 ms to import
-    part = np.array([rng.random() for _ in range(2 * n * LANES)]).reshape(2 * n, LANES)
-    return np.concatenate([math.pi * (2 * part[:n] - 1), 0.5 + 2.5 * part[n:]])
-
-
 class _Search:
     """The search for the legs of one contact."""
 
@@ -202,9 +195,10 @@ class _Search:
 
     def _routes(self, n: int, batch: int, longer: float = 1.0) -> Iterator[_Route]:
         """Routes of n legs, longer by a factor, from 16 random starts, the shortest first."""
-        aim = self.aim
-        z = _starts(n, batch)
-        z[n:] = longer * 0.5 ** (batch % 4) * aim.unit * z[n:] + aim.far / n
+        aim, rng = self.aim, random.Random(f"{n} {batch}")  # numpy's takes 9 ms to import
+        part = np.array([rng.random() for _ in range(2 * n * LANES)]).reshape(2 * n, LANES)
+        lengths = longer * 0.5 ** (batch % 4) * aim.unit * (0.5 + 2.5 * part[n:]) + aim.far / n
+        z = np.concatenate([math.pi * (2 * part[:n] - 1), lengths])
         z, off, _ = aim.search(z, min(COARSE, 0.1 * self.near), self.near)
         self.nearest = min(self.nearest, float(off.min()))
         found = sorted(z[:, off < self.near].T, key=_length)
