@@ -40,7 +40,7 @@ def anew(scene: cs.Scene) -> cs.Scene:
         if isinstance(part, tuple):
             return tuple(grown(x) for x in part)
         if isinstance(part, (cs.Surface, cs.Contact, cs.Gain, cs.Profile)):
-            fields = (f.name for f in dataclasses.fields(part))
+            fields = (f.name for f in dataclasses.fields(part) if f.init)
             return dataclasses.replace(part, **{k: grown(getattr(part, k)) for k in fields})
         return more * part if isinstance(part, float) else part
 

@@ -25,7 +25,7 @@ from .theory.equations import (
     relative_velocity,
     slip_acceleration,
 )
-from .theory.gain import LAWS
+from .theory.gain import Law
 from .theory.geometry import rotation
 from .theory.profile import integral, polynomial, product
 from .theory.symbols import per_structure
@@ -41,7 +41,7 @@ class Form(NamedTuple):
     coordinates: str
     forced: bool
     in_space: tuple[bool, bool]
-    law: str
+    law: Law
     n_profile: int
     growths: tuple[tuple[float, float], ...]
 
@@ -108,7 +108,7 @@ class ContactMotion(NamedTuple):
 def _decay(form: Form, value: ca.SX, profile: list[ca.SX], since: ca.SX, t: ca.SX) -> ca.SX:
     """exp(-(L(t) - L(since))) with L as in `Gain.exponent`."""
     powers: Sequence[ca.SX] = [ca.SX(1)]
-    for _ in range(LAWS[form.law].power):
+    for _ in range(form.law.power):
         powers = product(powers, profile)
     exponent = integral(powers)
     decay = ca.exp(-value * (polynomial(exponent, t) - polynomial(exponent, since)))
@@ -198,7 +198,7 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     sigma = polynomial(profile, t)
     slope = ca.gradient(sigma, t)
     growth = ca.fmax(0, slope / ca.fmax(sigma, TINY))
-    lam = LAWS[form.law].rate(law[0], sigma, growth)
+    lam = form.law.rate(law[0], sigma, growth)
     if form.coordinates == "chart":
         motion = _chart_motion(tip, body, x, w, sigma, slope, lam)
     else:

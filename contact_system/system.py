@@ -130,16 +130,15 @@ class SceneSystem:
 
     def _forms(self) -> list[Form]:
         scene, chart = self.scene, self.coordinates == "chart"
-        law, cancels_growth = scene.gain.law, scene.gain.row.cancels_growth
-        far = 1e3 * scene.duration  # integrators may go beyond the horizon
-        growths = tuple(scene.profile.growths(0.0, far) if cancels_growth else ())
+        far, law = 1e3 * scene.duration, scene.gain.row  # integrators may go beyond the horizon
+        growths = tuple(scene.profile.growths(0.0, far) if law.cancels_growth else ())
         forms = []
         for i, contact in enumerate(scene.contacts):
             slots = {d.slot for d in scene.disturbances if d.contact == i}
             d1, d2, offset = (self.disturbance_input or slot in slots for slot in range(len(SLOTS)))
             tip = not chart and in_space(contact.finger, d1)
             body = not chart and in_space(scene.object, d2 or offset)
-            forced = not chart and (d1 or d2 or (cancels_growth and bool(contact.legs)))
+            forced = not chart and (d1 or d2 or (law.cancels_growth and bool(contact.legs)))
             n_profile = max(len(stretch.profile.coefficients) for stretch in scene.way(i))
             grown = () if contact.legs else growths
             forms.append(Form(self.coordinates, forced, (tip, body), law, n_profile, grown))

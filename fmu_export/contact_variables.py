@@ -10,7 +10,6 @@ import numpy as np
 
 from contact_system.scene import SLOTS, Contact, Scene
 from contact_system.surfaces import Surface
-from contact_system.theory.gain import LAWS
 
 from .equations import frame_size
 from .quantities import METRE, NONE, RADIAN, SECOND, Unit, Variable, chart_units, per_second
@@ -136,7 +135,7 @@ class _Contact:
             for v in frame:
                 v.nominal = SMALL * surface.size if v.unit == METRE else SMALL
             rows += frame
-        turns, stops = bool(self.contact.legs), LAWS[self.scene.gain.law].cancels_growth
+        turns, stops = bool(self.contact.legs), self.scene.gain.row.cancels_growth
         moving = "Path velocity of the finger's contact point in its carried frame"
         slipping = "Slip over sigma in the object's carried frame"
         for name, jumps, text in (("velocity", turns, moving), ("slip", stops, slipping)):

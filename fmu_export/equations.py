@@ -25,7 +25,7 @@ from contact_system.scene import SLOTS
 from contact_system.surfaces import SINGULAR, TINY, Surface
 from contact_system.theory import symbols as ca
 from contact_system.theory.development import in_space
-from contact_system.theory.gain import LAWS
+from contact_system.theory.gain import Law
 from contact_system.theory.geometry import number_symbols
 from contact_system.theory.lowering import Table
 from contact_system.theory.profile import polynomial
@@ -44,7 +44,7 @@ def frame_size(surface: Surface) -> int:
 
 
 @per_structure
-def equations(finger: Surface, obj: Surface, law: str, n_profile: int) -> tuple[Table, np.ndarray]:
+def equations(finger: Surface, obj: Surface, law: Law, n_profile: int) -> tuple[Table, np.ndarray]:
     """The table (time, states, disturbances | gain, profile, numbers of both) -> results; and which
     of these each result depends on."""
     with making_symbols():
@@ -73,12 +73,12 @@ def equations(finger: Surface, obj: Surface, law: str, n_profile: int) -> tuple[
         return Table(made), np.hstack(parts) != 0
 
 
-def _condition(law: str, t: ca.SX, law_values: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca.SX]:
+def _condition(law: Law, t: ca.SX, law_values: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca.SX]:
     """|slip|, sigma, 1 if a disturbance acts or 0, expected time of recovery."""
     profile = ca.vertsplit(law_values[1:])
     sigma = polynomial(profile, t)
     growth = ca.gradient(sigma, t) / ca.fmax(sigma, TINY)
-    rate = LAWS[law].rate(law_values[0], sigma, ca.fmax(0, growth)) - growth  # of contraction
+    rate = law.rate(law_values[0], sigma, ca.fmax(0, growth)) - growth  # of contraction
     recovery = ca.fmin(math.log(100) / ca.fmax(rate, 1e-9), NEVER)
     return [ca.sqrt(ca.sumsqr(slip) + TINY), sigma, ca.sumsqr(w) > 0, recovery]
 

@@ -24,6 +24,7 @@ from contact_system.scene import Scene, require_scene
 from contact_system.surfaces import Quadric, Surface
 from contact_system.surfaces.base import OfLengths
 from contact_system.system import SceneSystem
+from contact_system.theory.gain import Law
 
 from .contact_variables import DERIVATIVES, STATES, contact_groups
 from .equations import equations
@@ -80,11 +81,11 @@ class Table:
         """The values before initialization: starts, and 0 for what is calculated, (n_values,)."""
         return np.array([x for row in self.rows for x in row.start or (0.0,)])
 
-    def structure(self, i: int) -> tuple[Surface, Surface, str, int]:
+    def structure(self, i: int) -> tuple[Surface, Surface, Law, int]:
         """The arguments of `equations` for contact i."""
         scene, contact = self.scene, self.scene.contacts[i]
         most = max(len(stretch.profile.coefficients) for stretch in scene.way(i))
-        return contact.finger, scene.object, scene.gain.law, most
+        return contact.finger, scene.object, scene.gain.row, most
 
     def columns(self, i: int) -> list[int]:
         """References of the equations' inputs and constants; -1 for profiles of legs."""

@@ -10,7 +10,7 @@ import pytest
 
 import contact_system as cs
 from contact_system.scene import DISTURBANCE_KINDS
-from contact_system.theory.gain import LAWS
+from contact_system.theory.gain import LAWS, Law
 
 PAGE = Path(__file__).parent.parent / "CONTRIBUTING.md"
 T = np.linspace(0.0, 1.0, 21)
@@ -60,6 +60,15 @@ def test_under_the_examples_gain_law_slip_decays_by_its_integral(example):
     # sigma'/sigma^2 is greatest at the start
     assert plan.scene.contraction().least_eta == pytest.approx(0.2 / 0.1**2)
     assert "lam = eta sigma," in str(plan.scene.contraction())
+
+
+def test_systems_have_a_law_that_replaces_another_of_its_name(monkeypatch):
+    for power in (1, 3):
+        monkeypatch.setitem(LAWS, "speed", Law("eta", "", power))
+        plan = cs.plan(scene(gain=cs.Gain("speed", 30.0)))
+        system = cs.SceneSystem(plan.scene, "chart")
+        found = system.evaluate("slip_acceleration", 0.0, system.x0)
+        assert found == pytest.approx(plan.acceleration(0.0)[0, 0], rel=1e-12)
 
 
 def test_the_examples_kind_of_disturbance_acts_and_is_saved_in_files(example, tmp_path):

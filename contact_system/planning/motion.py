@@ -20,7 +20,6 @@ from ..engine.binding import LAYOUT, address
 from ..scene import Disturbance, Leg, Scene, Stretch, refuse_rest
 from ..surfaces import Surface
 from ..theory.development import in_space
-from ..theory.gain import LAWS
 from .explanation import OUTSIDE, SINGULAR_TIME, failed, lines
 from .starts import Moment, Starts
 
@@ -64,7 +63,7 @@ class Buffer:
         self._tail: list[float] = []  # the numbers that follow header and contacts
         self._tail_index = HEADER + CONTACT * len(scene.contacts)
         self._bodies: dict[int, tuple[float, ...]] = {}
-        law, obj = LAWS[scene.gain.law], self._body(scene.object)
+        law, obj = scene.gain.row, self._body(scene.object)
         rows = self._rows(scene, begin, starts)
         head = _HEAD(
             *(len(scene.contacts), tolerance, limits.PANELS, begin, scene.duration),

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from operator import truediv
 from typing import Any
@@ -100,9 +100,11 @@ class Gain:
 
     law: str
     value: float
+    row: Law = field(init=False, repr=False)
+    """The law's row of `LAWS`, as it is when the gain is made."""
 
     def __post_init__(self) -> None:
-        one_of(self.law, LAWS, "gain: law")
+        object.__setattr__(self, "row", LAWS[one_of(self.law, LAWS, "gain: law")])
         value = finite_number(self.value, f"gain: {self.parameter}", "not below 0")
         object.__setattr__(self, "value", value)
 
@@ -123,11 +125,6 @@ class Gain:
         For any sigma, slip decays at least as fast as exp(-rho t): below 5 % after 3/rho.
         """
         return cls("guaranteed", rho)
-
-    @property
-    def row(self) -> Law:
-        """The law's row of `LAWS`."""
-        return LAWS[self.law]
 
     @property
     def parameter(self) -> str:
