@@ -21,11 +21,11 @@ def example(monkeypatch):
     """A function that runs a section's example; what it registers is removed after the test."""
     laws, kinds = dict(LAWS), list(DISTURBANCE_KINDS)
 
-    def run(section: str) -> dict:
+    def run(section: str, old: str = "", new: str = "") -> dict:
         text = PAGE.read_text("utf-8").split(f"## {section}\n")[1].split("\n## ")[0]
         scope: dict = {"__name__": "example"}
         code = re.search(r"```python\n(.*?)```", text, re.S)[1]
-        exec(compile(code, "example", "exec", dont_inherit=True), scope)
+        exec(compile(code.replace(old, new), "example", "exec", dont_inherit=True), scope)
         return scope
 
     yield run
@@ -49,6 +49,12 @@ def test_the_examples_surface_has_the_curvature_and_points_of_its_equation(examp
     points = cs.plan(scene(bowl)).points(T)[:, 0, 1]
     level = points[:, 2] - 2 * (points[:, 0] ** 2 + points[:, 1] ** 2)
     assert np.abs(level).max() < 1e-14
+
+
+def test_a_class_that_replaces_another_of_its_name_has_its_own_equation(example):
+    for half in (2, 4):
+        bowl = example("A surface", "(2 * ", f"({half} * ")["Paraboloid"](0.25)
+        assert bowl.point(0.1, 0.0)[2] == pytest.approx(0.01 / (half * 0.25), rel=1e-12)
 
 
 def test_under_the_examples_gain_law_slip_decays_by_its_integral(example):

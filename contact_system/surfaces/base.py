@@ -89,14 +89,15 @@ class Surface:
         return tuple(f"parameters[{first + k}]" for k in range(count))
 
     @property
-    def structure(self) -> tuple[str, ...]:
+    def structure(self) -> tuple[type, type | str]:
         """Key of the tables: surfaces of one structure differ only in `numbers`."""
-        return (type(self).__name__, self.chart.__name__)
+        return (type(self), self.chart)
 
     @property
     def table_name(self) -> str | None:
         """Name of this structure's tables in the engine; None if they are made at first use."""
-        return "_".join(self.structure) if "examples" in vars(type(self)) else None
+        names = type(self).__name__, self.chart.__name__
+        return "_".join(names) if "examples" in vars(type(self)) else None
 
     @property
     def sign(self) -> float:

@@ -76,8 +76,8 @@ class UserSurface(Surface):
         return self.formula.names
 
     @property
-    def structure(self) -> tuple[str, ...]:
-        return (self._kind, self.formula.code)
+    def structure(self) -> tuple[type, type | str]:
+        return (type(self), self.formula.code)
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
