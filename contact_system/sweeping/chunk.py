@@ -159,15 +159,14 @@ def _scene(item: Item) -> Scene:
 
 ITS_OWN = {"contacts", "disturbances", "name", "description", "source"}
 """Fields in which scenes that are planned as one may differ."""
-COMMON = [f for f in fields(Scene) if f.name not in ITS_OWN]
-HASHED = operator.attrgetter(*(f.name for f in COMMON if f.hash is not False))
-TABLES = operator.attrgetter(*(f.name for f in COMMON if f.hash is False))
+COMMON = operator.attrgetter(*(f.name for f in fields(Scene) if f.name not in ITS_OWN))
 
 
 def _shared(scene: Scene) -> tuple:
     """Key of the scenes that can be planned as one."""
+    common = (repr(x) if isinstance(x, dict) else x for x in COMMON(scene))
     windows = frozenset((type(d), d.start, d.stop) for d in scene.disturbances)
-    return *HASHED(scene), repr(TABLES(scene)), windows, len(scene.contacts)
+    return *common, windows, len(scene.contacts)
 
 
 def _together(batch: Batch) -> Scene:
