@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import numbers
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -123,6 +123,17 @@ def finite_number(
     return number
 
 
+def pair(value: Any, what: str, words: Sequence[str] = ()) -> tuple[float, float]:
+    """The value as two floats; an error names the words that are allowed besides."""
+    # tuple first: a check against an abstract class takes longer
+    if type(value) is tuple or (isinstance(value, Iterable) and not isinstance(value, str)):
+        found = finite_numbers(value, what)
+        if len(found) == 2:
+            return found
+    choice = "".join(f' or "{word}"' for word in words) + did_you_mean(value, words)
+    raise SceneError(f"{what} = {value!r}: give two numbers{choice}")
+
+
 def whole_number(
     value: Any, what: str, error: type[ContactSystemError] = ContactSystemError
 ) -> int:
@@ -197,9 +208,25 @@ def rigid_motion(
     return pose
 
 
+def a_text(value: Any, what: str) -> str:
+    return of_kind(str, value, what, "a text in quotes")
+
+
 def flag(value: Any, what: str) -> bool:
     """The value as a bool; raises a SceneError for any other, as "no" would count as true."""
     return bool(of_kind((bool, np.bool_), value, what, "True or False"))
+
+
+def all_of(kind: type | tuple[type, ...], values: Any, what: str, names: str) -> tuple:
+    """The values as a tuple; raises unless each is of the kind, which errors call ``names``."""
+    # list and tuple first: a check against an abstract class takes longer
+    if isinstance(values, (kind, str)) or not isinstance(values, (list, tuple, Iterable)):
+        raise SceneError(f"{what} = {values!r}: give a list")
+    values = tuple(values)
+    for k, value in enumerate(values):
+        if not isinstance(value, kind):
+            raise SceneError(f"{what}[{k}] = {value!r}: give a {names}")
+    return values
 
 
 def some_of(values: Any, known: Iterable[str], what: str) -> tuple[str, ...]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import did_you_mean, finite_number, finite_numbers, of_kind, within
+from ..checks import a_text, all_of, finite_number, finite_numbers, of_kind, pair, within
 from ..errors import SceneError
 from ..surfaces import Surface
 from ..theory.profile import Numbers, Profile
@@ -21,32 +21,6 @@ Pair = tuple[float, float]
 SIDES = ("finger", "object")
 ROLLING = "rolling"
 REST = "rest"
-
-
-def pair(value: Any, what: str, words: Sequence[str] = ()) -> Pair:
-    # tuple first: a check against an abstract class takes longer
-    if type(value) is tuple or (isinstance(value, Iterable) and not isinstance(value, str)):
-        numbers = finite_numbers(value, what)
-        if len(numbers) == 2:
-            return numbers
-    choice = "".join(f' or "{word}"' for word in words) + did_you_mean(value, words)
-    raise SceneError(f"{what} = {value!r}: give two numbers{choice}")
-
-
-def a_text(value: Any, what: str) -> str:
-    return of_kind(str, value, what, "a text in quotes")
-
-
-def all_of(kind: type | tuple[type, ...], values: Any, what: str, names: str) -> tuple:
-    """The values as a tuple; raises unless each is of the kind, which errors call ``names``."""
-    # list and tuple first: a check against an abstract class takes longer
-    if isinstance(values, (kind, str)) or not isinstance(values, (list, tuple, Iterable)):
-        raise SceneError(f"{what} = {values!r}: give a list")
-    values = tuple(values)
-    for k, value in enumerate(values):
-        if not isinstance(value, kind):
-            raise SceneError(f"{what}[{k}] = {value!r}: give a {names}")
-    return values
 
 
 def rolled(angle: float, w: Any) -> Any:

@@ -9,10 +9,9 @@ import numbers
 from dataclasses import dataclass
 from typing import ClassVar
 
-from ..checks import finite_number
+from ..checks import finite_number, pair
 from ..errors import SceneError
 from ..theory.profile import Numbers
-from .contact import pair
 
 ALL = "all"
 SLOTS = (("finger", True), ("object", True), ("object", False))

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import finite_number, known_keys, naming, of_kind, within
+from ..checks import a_text, all_of, finite_number, known_keys, naming, of_kind, within
 from ..errors import ContactSystemError, SceneError
 from ..surfaces import Surface
 from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
-from .contact import Contact, Turning, a_text, all_of
+from .contact import Contact, Turning
 from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
 from .legs import STILL, Stretch, check_legs, length, speed, stretches
 

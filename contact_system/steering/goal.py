@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from ..checks import finite_number, finite_numbers, rigid_motion, shaped_array
+from ..checks import finite_number, finite_numbers, pair, rigid_motion, shaped_array
 from ..errors import SceneError
 from ..scene import Leg, Scene
-from ..scene.contact import pair
 from ..theory.profile import Numbers
 
 

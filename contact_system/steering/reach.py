@@ -17,12 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import finite_number
+from ..checks import all_of, finite_number
 from ..errors import ContactSystemError, SceneError
 from ..plan import plan
 from ..planning.motion import Motion
-from ..scene import NO_CLAIMS, SIDES, STILL, Leg, Scene, require_scene
-from ..scene.contact import ROLLING, all_of
+from ..scene import NO_CLAIMS, ROLLING, SIDES, STILL, Leg, Scene, require_scene
 from .aim import LANES, MOST_LEGS, Aim
 from .four_rolls import four_rolls
 from .goal import Goal, Route
