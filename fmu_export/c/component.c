@@ -22,7 +22,7 @@ static status_t report(component_t *c, status_t status, const char *format, ...)
   va_start(arguments, format);
   vsnprintf(text + n, sizeof text - (size_t)n, format, arguments);
   va_end(arguments);
-  log_text(c, status, text);
+  if (c->log) log_text(c, status, text);
   return status;
 }
 

@@ -7,9 +7,9 @@
    (engine.h) that the old one has reached. In Model Exchange, and during initialization in both,
    all results are functions of the states, by a table of instructions that the engine runs.
 
-   The FMI layer defines status_t: OK, DISCARD and FAILED. Everything is static: fmi2.c and fmi3.c
-   each include all of it, so that names do not clash. What sets up or starts something and returns
-   a text returns what is wrong, or NULL. */
+   The FMI layer defines status_t: OK, DISCARD and FAILED; and logger_t. Everything is static:
+   fmi2.c and fmi3.c each include all of it, so that names do not clash. What sets up or starts
+   something and returns a text returns what is wrong, or NULL. */
 #ifndef CONTACT_COMPONENT
 #define CONTACT_COMPONENT
 #include "model.h"
@@ -77,7 +77,7 @@ typedef struct {
   double (*surface_tangents)[L]; /* of the registers of a surface's tables, for the start */
   failure_t failure;
   const char *called; /* the function of FMI that the importer has called */
-  void (*log)(void);  /* the importer's logger, of the type in its version of FMI */
+  logger_t log;       /* the importer's, or NULL */
   void *environment;  /* the logger's */
   char name[256];
   int uses_events, early_return; /* the importer handles events; and steps that end early */

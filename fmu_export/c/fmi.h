@@ -3,7 +3,7 @@
 
    FMI(name)     a function's name
    SIZE(c, r)    how many values a reference has, 0: there is no such reference
-   status_t      with OK, DISCARD, FAILED;  BOOLEAN, BYTE  types
+   status_t      with OK, DISCARD, FAILED;  logger_t, BOOLEAN, BYTE  types
    ROOM(n)       FMI 3's parameter for how many values an array has; ROOM_OF(count, n): that number
    TOKEN         how the standard calls the token
  */
@@ -58,7 +58,8 @@ static status_t allowed(component_t *c, int phases) {
 #define STEPPING_ONLY(phases)                                                                      \
   BEGIN(phases);                                                                                   \
   if (!c->now->stepping) REFUSE("the instance was made for Model Exchange")
-/* Functions that only change the state; that this model does not have; that have no variables */
+/* Functions that only change the state; that this model does not have; that have no variables, as
+   all are of one type */
 #define LEADS_TO(phase_after, name, begin)                                                         \
   EXPORT status_t FMI(name)(void *instance) {                                                      \
     begin;                                                                                         \
@@ -80,9 +81,11 @@ static status_t allowed(component_t *c, int phases) {
   OF_NOTHING(Get##name, BEGIN(RUNNING), "there are no variables of this type", __VA_ARGS__)
 #define NO_SETTER(name, ...)                                                                       \
   OF_NOTHING(Set##name, BEGIN(SETTABLE), "there are no variables of this type", __VA_ARGS__)
+#define NO_VARIABLES(name, type)                                                                   \
+  NO_GETTER(name, type value[] ROOM(n)) NO_SETTER(name, type const value[] ROOM(n))
 
 static component_t *instantiate(const char *called, const char *name, const char *token,
-                                const char *resources, void (*log)(void), void *environment,
+                                const char *resources, logger_t log, void *environment,
                                 int stepping) {
   component_t *c = calloc(1, sizeof *c);
   if (!c) return NULL;
@@ -294,6 +297,10 @@ EXPORT status_t FMI(GetDirectionalDerivative)(void *instance, const unsigned unk
   return products(c, 0, unknowns, n_unknowns, knowns, n_knowns, seed, ROOM_OF(n_knowns, n_seed),
                   value, ROOM_OF(n_unknowns, n));
 }
+
+OF_NOTHING(GetOutputDerivatives, STEPPING_ONLY(STEP | TERMINATED),
+           "derivatives are outputs of their own, der(...)", const int orders[],
+           double value[] ROOM(n))
 
 /* --- FMU states ------------------------------------------------------------------------------- */
 

@@ -28,6 +28,7 @@ typedef struct {
 #define OK fmi2OK
 #define DISCARD fmi2Discard
 #define FAILED fmi2Error
+#define logger_t fmi2CallbackLogger
 #define BYTE fmi2Byte
 /* each element is a variable; time, reference 0, is none */
 #define SIZE(c, r) (unsigned)((r) > 0 && (r) < (unsigned)(c)->model->n_values)
@@ -44,19 +45,19 @@ typedef struct {
 #define SerializeFMUState SerializeFMUstate
 #define DeserializeFMUState DeSerializeFMUstate
 #define GetContinuousStateDerivatives GetDerivatives
+#define GetOutputDerivatives GetRealOutputDerivatives
 #include "fmi.h"
 
 /* The logger takes a format. Many importers print it as it is, and would print nothing but "%s" if
    that were it; so the text itself is the format, every percent sign in it doubled. */
 static void log_text(component_t *c, status_t status, const char *text) {
   char format[1400], *to = format;
-  if (!c->log) return;
   for (; *text && to < format + sizeof format - 2; text++) {
     *to++ = *text;
     if (*text == '%') *to++ = '%';
   }
   *to = 0;
-  ((fmi2CallbackLogger)c->log)(c->environment, c->name, (int)status, category_of[status], format);
+  c->log(c->environment, c->name, status, category_of[status], format);
 }
 
 EXPORT const char *FMI(GetTypesPlatform)(void) { return "default"; }
@@ -67,7 +68,7 @@ EXPORT void *FMI(Instantiate)(const char *name, fmi2Type type, const char *guid,
                               const char *location, const fmi2CallbackFunctions *functions,
                               int visible, int logging) {
   if (!functions) return NULL;
-  return instantiate(__func__, name, guid, location, (void (*)(void))functions->logger,
+  return instantiate(__func__, name, guid, location, functions->logger,
                      functions->componentEnvironment, type == fmi2CoSimulation);
 }
 
@@ -82,8 +83,6 @@ EXPORT status_t FMI(EnterInitializationMode)(void *instance) {
   return enter_mode(c, INITIALIZATION);
 }
 
-/* There are variables of type Real only. */
-#define NO_VARIABLES(name, type) NO_GETTER(name, type value[]) NO_SETTER(name, type const value[])
 NO_VARIABLES(Integer, int)
 NO_VARIABLES(Boolean, int)
 NO_VARIABLES(String, const char *)
@@ -109,8 +108,6 @@ EXPORT status_t FMI(NewDiscreteStates)(void *instance, fmi2EventInfo *info) {
 OF_NOTHING(SetRealInputDerivatives, STEPPING_ONLY(INSTANTIATED | INITIALIZATION | STEP),
            "inputs are held during a step; make shorter steps", const int order[],
            const double value[])
-OF_NOTHING(GetRealOutputDerivatives, STEPPING_ONLY(STEP | TERMINATED),
-           "derivatives are outputs of their own, der(...)", const int order[], double value[])
 
 EXPORT status_t FMI(DoStep)(void *instance, double from, double size, int no_return) {
   BEGIN(STEP);

@@ -14,6 +14,7 @@ typedef void (*fmi3IntermediateUpdateCallback)(void), (*fmi3ClockUpdateCallback)
 #define OK fmi3OK
 #define DISCARD fmi3Discard
 #define FAILED fmi3Error
+#define logger_t fmi3LogMessageCallback
 #define BYTE uint8_t
 #define SIZE(c, r)                                                                                 \
   ((r) < (unsigned)(c)->model->n_values ? (unsigned)(c)->model->values[r].size : 0u)
@@ -27,7 +28,7 @@ typedef void (*fmi3IntermediateUpdateCallback)(void), (*fmi3ClockUpdateCallback)
 #include "fmi.h"
 
 static void log_text(component_t *c, status_t status, const char *text) {
-  if (c->log) ((fmi3LogMessageCallback)c->log)(c->environment, status, category_of[status], text);
+  c->log(c->environment, status, category_of[status], text);
 }
 
 EXPORT const char *FMI(GetVersion)(void) { return "3.0"; }
@@ -35,7 +36,7 @@ EXPORT const char *FMI(GetVersion)(void) { return "3.0"; }
 EXPORT void *FMI(InstantiateModelExchange)(const char *name, const char *token,
                                            const char *resources, _Bool visible, _Bool logging,
                                            void *environment, fmi3LogMessageCallback log) {
-  return instantiate(__func__, name, token, resources, (void (*)(void))log, environment, 0);
+  return instantiate(__func__, name, token, resources, log, environment, 0);
 }
 
 EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *token,
@@ -44,8 +45,7 @@ EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *token,
                                           const unsigned required[], size_t n_required,
                                           void *environment, fmi3LogMessageCallback log,
                                           fmi3IntermediateUpdateCallback update) {
-  component_t *c =
-      instantiate(__func__, name, token, resources, (void (*)(void))log, environment, 1);
+  component_t *c = instantiate(__func__, name, token, resources, log, environment, 1);
   if (c) c->uses_events = event_mode, c->early_return = early_return;
   return c;
 }
@@ -74,10 +74,6 @@ EXPORT status_t FMI(EnterInitializationMode)(void *instance, _Bool tolerance_def
 }
 
 /* --- values ----------------------------------------------------------------------------------- */
-
-/* There are variables of type Float64 only. */
-#define NO_VARIABLES(name, type)                                                                   \
-  NO_GETTER(name, type value[], size_t n) NO_SETTER(name, type const value[], size_t n)
 
 NO_VARIABLES(Float32, float)
 NO_VARIABLES(Int8, int8_t)
@@ -156,9 +152,6 @@ COUNT_OF(GetNumberOfContinuousStates, (size_t)c->model->n_states)
 /* --- Co-Simulation ---------------------------------------------------------------------------- */
 
 LEADS_TO(STEP, EnterStepMode, STEPPING_ONLY(EVENT))
-OF_NOTHING(GetOutputDerivatives, STEPPING_ONLY(STEP | TERMINATED),
-           "derivatives are outputs of their own, der(...)", const int32_t orders[], double value[],
-           size_t n)
 
 EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool no_return, _Bool *event,
                             _Bool *terminate, _Bool *early, double *last_time) {
