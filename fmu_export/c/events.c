@@ -58,7 +58,7 @@ static const char *find_measured(component_t *c, long i, double **found) {
         n == 3 ? values_of(c, i, OF_POINTS) + 3 * side : values_of(c, i, OF_COORDINATES) + 4 * side;
     memcpy(x, planned, n * sizeof *x), x += n;
   }
-  const long unknowns = x - r;
+  const long unknowns = (long)(x - r);
   memcpy(x, values_of(c, i, OF_MEASURED) + MEASURED, (size_t)(t->n_in - unknowns) * sizeof *x);
   c->engine->sense(t, r, unknowns, limit);
   y += unknowns; /* length of the step, relative curvature, states, metric roots */

@@ -212,7 +212,7 @@ EXPORT status_t FMI(GetReal)(void *instance, const unsigned vr[], size_t count,
     if (c->now->phase == INSTANTIATED && c->model->values[vr[k]].kind == CALCULATED)
       REFUSE("%s is calculated and has no start value; ask from initialization on",
              name_of(c->model, vr[k]));
-    const status_t s = get_values(c, vr[k], SIZE(c, vr[k]), value);
+    const status_t s = get_values(c, vr[k], (long)SIZE(c, vr[k]), value);
     worst = s > worst ? s : worst;
   }
   return worst;

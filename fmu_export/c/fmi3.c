@@ -44,7 +44,7 @@ EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *token,
                                           _Bool event_mode, _Bool early_return,
                                           const unsigned required[], size_t n_required,
                                           void *environment, fmi3LogMessageCallback log,
-                                          fmi3IntermediateUpdateCallback update) {
+                                          fmi3IntermediateUpdateCallback intermediate) {
   component_t *c = instantiate(__func__, name, token, resources, log, environment, 1);
   if (c) c->uses_events = event_mode, c->early_return = early_return;
   return c;
