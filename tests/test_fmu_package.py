@@ -98,7 +98,7 @@ def test_sources_of_two_models_build_without_warnings_to_one_program(version, tm
     toolbox = pytest.importorskip("fmu_manipulation_toolbox")  # fmpy's FMI 2 headers lack prefixes
     headers = Path(toolbox.__file__).parent / "resources" / "fmi"
     flags, objects, main = ["-std=c11", "-O0", "-Wall", "-Wextra", "-Wshadow"], [], ""
-    flags += ["-Wno-unknown-pragmas", "-Werror", f"-I{headers}"]
+    flags += ["-pedantic-errors", "-Werror", f"-I{headers}"]
     get = f"fmi{version[0]}GetVersion"
     for name in ("K3", "C2"):
         folder, files = sources(cs.load_scene(name), version)

@@ -3,6 +3,10 @@
 #include <math.h>
 #include <string.h>
 
+/* Importers compile the sources of an FMU without OpenMP, and some of them with -pedantic. Pointers
+   to arrays gain `const`, as C23 allows. */
+#pragma GCC diagnostic ignored "-Wunknown-pragmas"
+#pragma GCC diagnostic ignored "-Wpedantic"
 #define SIMD _Pragma("omp simd")
 #define EACH_LANE(i) SIMD for (int i = 0; i < L; i++)
 #define PI 3.14159265358979323846
