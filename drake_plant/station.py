@@ -244,9 +244,9 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     The plan is taken at the planner's state and time in the context (by default the start of the
     scene). The object stays as the context has it (by default at the world's origin, at rest), but
     if it turns on the joint of :func:`AddScenePlant`, it is put where the scene has it at that
-    time. Each finger is pressed in as deep as its normal force presses it. Earlier steps of the
-    plant are forgotten: as in a new context, the plant's accelerations and contact forces are zero
-    until its first step.
+    time. Each finger is pressed in as deep as its normal force presses it at the end of the plant's
+    first step. Earlier steps of the plant are forgotten: as in a new context, the plant's
+    accelerations and contact forces are zero until its first step.
 
     Parameters
     ----------
@@ -291,14 +291,20 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         balancing = balancer.GetMyMutableContextFromRoot(context)
         balancing.get_mutable_abstract_parameter(0).set_value(X_WO)
         forces = balancer.GetOutputPort("normal_force").Eval(balancing)
-    R_WO = X_WO.rotation()
-    twist, change = (planner.GetOutputPort(name).Eval(now) for name in ("twist", "acceleration"))
-    twists = (twist - ago * change).reshape(-1, 6)
-    poses = _finger_poses(planner, now, driver, forces)
-    for index, X_OF, twist in zip(driver.finger_indices, poses, twists):
+    R_WO, poses = X_WO.rotation(), _finger_poses(planner, now, driver, forces)
+    p, w_O = np.array([X_OF.translation() for X_OF in poses]), R_WO.inverse() @ V_WO.rotational()
+    planned = planner.Evaluate(now, "twist", "acceleration", "contact_point", "normal")
+    w, v, alpha, a, _, at, normals = np.split(planned, 7, axis=1)
+    v = v - ago * (a + np.cross(w_O, np.cross(w_O, p) + 2 * v))
+    w = w - ago * (alpha + np.cross(w_O, w))
+    # The first step presses by the depth at its end, taken along the normal at its beginning: a
+    # finger comes nearer in it by as much as it went away in the step before.
+    away = 2 * ago * np.sum(normals * (v + np.cross(w, at - p)), axis=1, keepdims=True)
+    for index, X_OF, w_OF, v_OF, shift in zip(driver.finger_indices, poses, w, v, away * normals):
         body = plant.get_body(BodyIndex(index))
-        V_OF_W = SpatialVelocity(twist[:3], twist[3:]).Rotate(R_WO)
+        V_OF_W = SpatialVelocity(w_OF, v_OF).Rotate(R_WO)
         V_WF = V_WO.ComposeWithMovingFrameVelocity(R_WO @ X_OF.translation(), V_OF_W)
+        X_OF.set_translation(X_OF.translation() + shift)
         plant.SetFreeBodyPose(physics, body, X_WO @ X_OF)
         plant.SetFreeBodySpatialVelocity(context=physics, body=body, V_JpJc=V_WF)
     # Reset the plant's sampled outputs, which SetDefaultContext leaves as they were.
