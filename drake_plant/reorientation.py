@@ -233,7 +233,7 @@ def _routed(chains: Chains, path: Any, t: Array, q: Array) -> tuple[Array, Array
     t, q : times and joint positions of `_rolled`. Fingers can reach the places on the object where
         it ends, so legs of `cs.reach` lead there, but on the pads and without spin.
     """
-    found = _contacts(chains, path, t[[0, -1]], q[[0, -1]], np.zeros((2, q.shape[1])))
+    found = contacts_of(chains, path, t[[0, -1]], q[[0, -1]], np.zeros((2, q.shape[1])))
     _refuse_pads(chains.scene, chains.hand, t[:1], found[:1, :, ON_FINGER])
     first, last = found[..., STATES]
     goals = [
@@ -283,7 +283,7 @@ def _planned(
     X_WO = np.array([path.GetPose(time).GetAsMatrix4() for time in t])
     R = X_WO[:, :3, :3]
     V, A = (np.array([get(x) for x in t]) for get in (path.GetVelocity, path.GetAcceleration))
-    found = _contacts(chains, path, t, q, v)
+    found = contacts_of(chains, path, t, q, v)
     states = found[..., STATES]
     points = np.stack([found[..., ON_FINGER], found[..., ON_OBJECT]], axis=2)
     _refuse_pads(rolling, config.hand, t, points[:, :, 0])
@@ -329,7 +329,7 @@ def _planned(
     )
 
 
-def _contacts(chains: Chains, path: Any, t: Array, q: Array, v: Array) -> Array:
+def contacts_of(chains: Chains, path: Any, t: Array, q: Array, v: Array) -> Array:
     """Every contact's `Probe.found` and, in column FOUND, its spin, rad/s: (m, n, FOUND + 1)."""
     rows = np.empty((len(q), len(chains.joints), FOUND + 1))
     for k, time in enumerate(t):

@@ -16,10 +16,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 from contact_system import Scene, SceneError, plan
 from contact_system.checks import Array, finite_number, of_kind
+from contact_system.contact_sensor import ON_OBJECT, SLIP, STATES
 from contact_system.files import a_path, writing
 from contact_system.scene import scene_to_toml
 
@@ -29,7 +30,7 @@ from .contact_monitor import COLUMNS
 from .planner_base import EARLY
 from .plant import ScenePlant
 from .recording import Recording
-from .reorientation import Reorientation, plan_reorientation
+from .reorientation import Reorientation, contacts_of, plan_reorientation
 from .station import SetInitialState, build, build_hand
 
 PLANNED = ("state", "slip", "contact_point")
@@ -238,21 +239,18 @@ def _checked_duration(scene: Scene, config: StationConfig, duration: float | Non
 
 
 def _hand_planned(plan: Reorientation, t: Array) -> dict[str, Array]:
-    """`SimulationResult.planned` of a hand's plan, interpolated at times t."""
-    inside = np.clip(t, plan.t[0], plan.t[-1])
-    planned = {
-        "state": np.unwrap(plan.states, axis=0),
-        "slip": np.zeros((*plan.states.shape[:2], 2)),
-        "contact_point": plan.points[:, :, 1],
-        "normal_force": np.einsum("mij,mij->mi", plan.forces, plan.normals),
-        "friction_used": plan.cones,
-    }
-    found = {key: make_interp_spline(plan.t, x, k=1)(inside) for key, x in planned.items()}
+    """`SimulationResult.planned` of a hand's plan at times t, with joints and forces as its driver
+    interpolates them."""
+    inside, joints = np.clip(t, *plan.t[[0, -1]]), CubicHermiteSpline(plan.t, plan.q, plan.v)
+    found = contacts_of(plan.chains, plan.path, inside, joints(inside), joints(inside, 1))
+    pressing = np.einsum("mij,mij->mi", plan.forces, plan.normals)
+    loads = make_interp_spline(plan.t, np.stack([pressing, plan.cones]), k=1, axis=1)(inside)
     for k, rests in enumerate((t <= plan.t[0], t >= plan.t[-1])):
         forces, normals = plan.resting[k], plan.normals[-k]
-        found["normal_force"][rests] = np.sum(forces * normals, axis=-1)
-        found["friction_used"][rests] = friction_used(forces, normals, plan.config.friction)
-    return found
+        loads[0, rests] = np.sum(forces * normals, axis=-1)
+        loads[1, rests] = friction_used(forces, normals, plan.config.friction)
+    parts = {"state": np.unwrap(found[..., STATES], axis=0), "slip": found[..., SLIP]}
+    return parts | {"contact_point": found[..., ON_OBJECT]} | dict(zip(BALANCED, loads))
 
 
 Logged = dict[str, Callable[[], Any]]

@@ -194,7 +194,9 @@ def test_slip_feedback_makes_a_pushed_finger_slip_less():
 @pytest.mark.parametrize("model", ["point", "hydroelastic"])
 def test_a_ball_that_a_hand_turns_ends_where_it_was_planned(model):
     scene = H2.replace(duration=0.5, drake={**H2.drake, "turn": [[3, 0, 4]], "normal_force": 0.5})
-    told = hand_report(simulate(scene, StationConfig.from_scene(scene, contact_model=model)))
+    result = simulate(scene, StationConfig.from_scene(scene, contact_model=model))
+    told, planned = hand_report(result), result.planned["contact_point"]
+    assert np.ptp(np.linalg.norm(planned, axis=-1)) < 1e-12  # on the ball
     assert told.off[-1] < 1e-4 and told.turned_off[-1] < math.radians(0.1)
     assert told.cones.max() < 0.9 and not told.lost.any() and told.slipped.max() < 2e-4
     assert told.torque_share.max() < 1 and told.room.min() > 0
