@@ -123,18 +123,20 @@ static int may_cross(const double *x, const double *y) {
 }
 
 /* Whether a path turns back beside a pole in the step to a place with coordinates z: its first and
-   its last chord are opposite, and longer than rounding. Then theta may have changed by nearly a
-   whole turn around the pole. The rates in z are those at a speed of 1; they are below 3/size
-   farther than a quarter of the size from a sphere's pole, and a step is too short to lead around
-   it from there. */
+   its last chord are opposite. Then theta may have changed by nearly a whole turn around the pole.
+   Chords are as short as rounding allows: a path that starts almost at rest turns back at once, and
+   with chords of 1e-2 of a step, 0.5 % of paths that start within 1e-4 rad of a pole and turn back
+   there lost a turn. The rates in z are those at a speed of 1; they are below 3/size farther than a
+   quarter of the size from a sphere's pole, and a step is too short to lead around it from there.
+ */
 static int turns_back(const track_t *k, double from, double to, const double *z) {
-  const double size = k->body->size, part = 1e-2 * (to - from), far = 3.0 / size;
+  const double size = k->body->size, part = 1e-5 * (to - from), far = 3.0 / size;
   double x[L], at[3][L], along = 0.0;
   if (k->kind == CIRCLE || k->by_length || z[DU] * z[DU] + z[DV] * z[DV] < far * far) return 0;
   gather(x, (double[4]){from, from + part, to - part, to}, 4);
   panels_at(&k->panels, 0, 3, x, at);
   for (int r = 0; r < 3; r++) along += (at[r][1] - at[r][0]) * (at[r][3] - at[r][2]);
-  return along < -LOST * LOST * size * size;
+  return along < -1e-30 * size * size;
 }
 
 /* Adds anchors at places x of a path, except at the last place, which only shows how y goes on.
