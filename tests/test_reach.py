@@ -140,18 +140,20 @@ def test_a_sphere_rolls_straight_to_a_place_whole_revolutions_ahead_on_a_plane()
     assert cs.reach(start, cs.Goal(object_at=(30.0, 0.0), finger_at=(2.0, -1.0), angle=1.0))
 
 
-LOOPS = [(*pair[:2], 0.7, "rolling") for pair in PAIRS.values()]
+LOOPS = [(*pair[:2], 0.7, {}) for pair in PAIRS.values()]
 # has a point at (u, v) and at (-u, v + pi)
 COVERED_TWICE = cs.ParametricSurface(("sin(u)*cos(v)", "sin(u)*sin(v)/2", "cos(u)"))
-LOOPS += [(cs.Ellipsoid(0.3, 0.2, 0.05), cs.Plane(), 0.7, "rolling")]
-LOOPS += [(SMALL, COVERED_TWICE, 1, "rolling")]
-LOOPS += [(SMALL, cs.Plane(), 1e-4, "rolling"), (cs.Sphere(3e-4), cs.Sphere(1.0), 0.7, "rolling")]
-LOOPS += [(*ELLIPSOID, 0.7, (0.5, -0.8))]
+LOOPS += [(cs.Ellipsoid(0.3, 0.2, 0.05), cs.Plane(), 0.7, {})]
+LOOPS += [(SMALL, COVERED_TWICE, 1, {})]
+LOOPS += [(SMALL, cs.Plane(), 1e-4, {}), (cs.Sphere(3e-4), cs.Sphere(1.0), 0.7, {})]
+LOOPS += [(*ELLIPSOID, 0.7, {"object_velocity": (0.5, -0.8)})]
+# normals pass close to all directions
+LOOPS += [(cs.Torus(0.1, 0.0995), cs.Torus(1.0, 0.98), 0.5, {"finger_at": (0.2, 3.5)})]
 
 
-@pytest.mark.parametrize("finger, obj, angle, velocity", LOOPS)
-def test_a_loop_turns_the_finger_in_place_by_the_curvature_enclosed(finger, obj, angle, velocity):
-    found = cs.loop(scene(finger, obj, object_velocity=velocity), angle)
+@pytest.mark.parametrize("finger, obj, angle, contact", LOOPS)
+def test_a_loop_turns_the_finger_in_place_by_the_curvature_enclosed(finger, obj, angle, contact):
+    found = cs.loop(scene(finger, obj, **contact), angle)
     first, last = cs.plan(found.scene, 1e-14).points([0.0, 3.0])[:, 0]
     assert last == pytest.approx(first, abs=1e-12)
     assert math.remainder(found.angle - angle, 2 * math.pi) == pytest.approx(0.0, abs=1e-11)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +21,10 @@ SETTLED = 1e-9
 digits as the one before."""
 PARTS = [2**k for k in range(6, 17)]
 """Numbers of parts of a leg over which areas are summed, tried in this order."""
+AXES = np.array([axis for axis in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(axis)])
+AXES /= np.linalg.norm(AXES, axis=1, keepdims=True)
+"""Directions from a cube's centre to its faces, edges and corners. With those to its faces alone,
+sums over 11 of 4575 loops through the holes of slim tori had not converged, up to 1.4 rad off."""
 
 
 @dataclass(frozen=True)
@@ -125,8 +130,7 @@ def _swept(motion: Motion, contact: int, parts: int) -> np.ndarray:
 
 def _areas(n: np.ndarray, swept: np.ndarray) -> np.ndarray:
     """Sums of z . (n x dn) / (1 + z . n), (2,), with an axis z for which -z is far from all n."""
-    axes = np.vstack([np.eye(3), -np.eye(3)])
-    z = axes[np.argmax((n @ axes.T).min(axis=0), axis=-1)]
+    z = AXES[np.argmax((n @ AXES.T).min(axis=0), axis=-1)]
     up, over = np.einsum("tij,ij->ti", n, z), np.einsum("tij,ij->ti", swept, z)
     return (over / (1 + up)).sum(axis=0)
 
