@@ -24,7 +24,7 @@ static void state_at(const track_t *k, const double *tau, const double *x, int r
     panels_at(&k->panels, 0, rows, x, state);
 }
 
-/* W_1, W_2 or V: from panels, if accelerations change it, else constant */
+/* W_1 or V: from panels, if accelerations change it, else constant */
 static void path_velocity(const panels_t *panels, const double *constant, const double *tau,
                           lanes_t out) {
   if (panels)
@@ -64,8 +64,8 @@ static void sample_paths(const contact_t *c, sample_t *m) {
   double tau[L], decay[L];
   for (int i = 0; i < L; i++) tau[i] = m->t[i] - d->start;
   horners(d->sigma, d->n_sigma, tau, m->sigma);
-  for (int side = 0; side < 2; side++) path_velocity(s->w1_panels, s->w[side], tau, m->w[side]);
-  if (s->w1_panels) to_object(c->r0, m->w[0], m->w[1]);
+  path_velocity(s->w1_panels, s->w1, tau, m->w[0]);
+  to_object(c->r0, m->w[0], m->w[1]);
   path_velocity(s->v_panels, s->v, tau, m->v);
   if (s->v_panels || !any(s->v)) return;
   decays(d, tau, m->sigma, decay);

@@ -283,11 +283,11 @@ static body_t body_of(const plan_t *plan, const double *row, int side) {
 /* W_1, W_2, V and R_0 where a contact starts */
 static void begin(course_t *c) {
   const double *row = c->contact->row;
-  double found[8], in[5] = {row[K_ANGLE], row[K_W1], row[K_W1 + 1], row[K_Y], row[K_Y + 1]};
+  double found[6], in[5] = {row[K_ANGLE], row[K_W1], row[K_W1 + 1], row[K_Y], row[K_Y + 1]};
   run_one(c->w, contact_tables + T_START, NULL, in, found);
   memcpy(c->contact->r0, found, sizeof c->contact->r0);
-  memcpy(c->w1, row + K_W1, sizeof c->w1), memcpy(c->w2, found + 4, sizeof c->w2);
-  memcpy(c->v, row[K_MOMENT] > 0 ? row + K_Y : found + 6, sizeof c->v);
+  set_path_velocity(c, row + K_W1);
+  memcpy(c->v, row[K_MOMENT] > 0 ? row + K_Y : found + 4, sizeof c->v);
 }
 
 /* Plans a segment's tracks, unless earlier ones cover it; until: where each body's last one ends */
@@ -300,8 +300,7 @@ static void plan_segment(course_t *c, int64_t index, double *until) {
   }
   /* under a law that cancels growth, no slip is left after a rest */
   if (d->grows && d->sigma[0] == 0.0) c->v[0] = c->v[1] = 0.0;
-  memcpy(s->w[0], c->w1, sizeof c->w1), memcpy(s->w[1], c->w2, sizeof c->w2);
-  memcpy(s->v, c->v, sizeof c->v);
+  memcpy(s->w1, c->w1, sizeof c->w1), memcpy(s->v, c->v, sizeof c->v);
   if (any(s->acting)) {
     until[0] = d->stop;
   } else if (until[0] <= d->start) {

@@ -65,13 +65,13 @@ typedef struct {
   double turn[3]; /* what one revolution adds to them */
 } track_t;
 
-/* A piece of the horizon, what acts on it in chart components, and its path velocities: W_1, W_2
-   and V at its start, or under accelerations W_1 and V as the last rows of panels */
+/* A piece of the horizon, what acts on it in chart components, and its path velocities: W_1 and V
+   at its start, or under accelerations as the last rows of panels */
 typedef struct {
   const drive_t *drive;
   double acting[6];   /* accelerations of finger and object, rate offset of the object */
   const double *turn; /* where a leg begins: cosine and sine of the angle by which the path turns */
-  double w[2][2], v[2];
+  double w1[2], v[2];
   const panels_t *w1_panels, *v_panels; /* or NULL */
 } segment_t;
 

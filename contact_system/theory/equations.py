@@ -199,7 +199,6 @@ def contact_functions() -> dict[str, ca.Function]:
         velocities, slip, v = (sym("a1", 2), sym("a2", 2)), sym("v_rel", 2), sym("V", 2)
         pushed = (sym("pushed1", 2), sym("pushed2", 2))
         start_r = reflection(ca.cos(psi), ca.sin(psi))
-        w2 = start_r @ w1
         turn, origin = relative_pose(*frames, r0)
         twist = relative_twist(frames, shapes, velocities, r0, slip)
         acceleration = slip_acceleration(v, sigma, slope, lam, r0, *pushed)
@@ -207,7 +206,7 @@ def contact_functions() -> dict[str, ca.Function]:
             "start": (
                 [psi, w1, velocity],
                 none,
-                [ca.vec(start_r.T), w2, starting_slip(w1, w2, velocity)],
+                [ca.vec(start_r.T), starting_slip(w1, start_r @ w1, velocity)],
             ),
             "pose": ([*frames], rows, [ca.vec(turn.T), origin]),
             "twist": ([*frames, *shapes, *velocities, slip], rows, [*twist]),
