@@ -18,7 +18,7 @@ static twofold_t twofold_length(const drive_t *d, double tau) {
 static void lay_circle(work_t *w, const double *state, track_t *k) {
   const body_t *b = k->body;
   double q[3];
-  run_one(w, b->surface->tables[IN_SPACE][A_SECOND], b->numbers, state, q);
+  run_body(w, b, IN_SPACE, A_SECOND, state, q);
   const double length = hypot(k->w[0], k->w[1]);
   /* a contact point at rest has no direction; p will do */
   k->direction[0] = length > 0 ? k->w[0] / length : 1.0,
@@ -68,7 +68,7 @@ static void phases(const track_t *k, const double *tau, double *phase, double *t
 static void chart_slope(work_t *w, const body_t *b, const double *state, const double *y,
                         double *slope) {
   double lame[3], turned[2];
-  run_one(w, b->surface->tables[IN_CHART][C_LAME], b->numbers, state, lame);
+  run_body(w, b, IN_CHART, C_LAME, state, lame);
   run_one(w, contact_tables + T_TURNED, NULL, (double[3]){state[2], y[0], y[1]}, turned);
   for (int a = 0; a < 2; a++) slope[a] = turned[a] / lame[a];
 }

@@ -65,6 +65,12 @@ static void run_one(work_t *w, const table_t *t, const double *constants, const 
   memcpy(out, r + t->first_out, (size_t)t->n_out * sizeof *out);
 }
 
+/* A table of a body at one point */
+static void run_body(work_t *w, const body_t *b, int in_space, int table, const double *in,
+                     double *out) {
+  run_one(w, b->surface->tables[in_space][table], b->numbers, in, out);
+}
+
 static int moves_in_space(const surface_t *s) { return s->tables[IN_SPACE][M_MOTION] != NULL; }
 static int state_size(int in_space) { return in_space ? 6 : 3; }
 
@@ -171,11 +177,6 @@ static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x,
   return f;
 }
 
-/* Puts (x, p) back onto the surface. */
-static void restore_body(work_t *w, const body_t *b, double *state) {
-  run_one(w, b->surface->tables[IN_SPACE][A_RESTORE], b->numbers, state, state);
-}
-
 /* 1/(unit of each state): the body's size for positions, 1 for angles and directions, and for
    coordinates the size over their Lame coefficients. One that vanishes, at a pole, counts as a
    hundredth of the size or, on users' charts, whose units may be any, of the other coefficient. */
@@ -185,7 +186,7 @@ static void scales(work_t *w, int in_space, const body_t *b, const double *state
     return;
   }
   double lame[3];
-  run_one(w, b->surface->tables[IN_CHART][C_LAME], b->numbers, state, lame);
+  run_body(w, b, IN_CHART, C_LAME, state, lame);
   const double beside = b->surface->may_be_singular ? fmax(lame[0], lame[1]) : b->size;
   for (int j = 0; j < 2; j++) scale[j] = fmax(lame[j], 1e-2 * fmin(beside, b->size)) / b->size;
   scale[2] = 1.0;
@@ -333,7 +334,7 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
     series_through(m->state + n, x + n, out + n * TERMS);
     for (int a = 0; a < 2; a++) end[n + a] = dot(gauss_last, x[n + a]);
   }
-  if (k->body && k->in_space) restore_body(w, k->body, end);
+  if (k->body && k->in_space) run_body(w, k->body, IN_SPACE, A_RESTORE, end, end);
   return error;
 }
 
@@ -473,9 +474,7 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   e->value = k->by_length ? 1.0 : sigma_at(k->drive, s->tau);
   if (k->body) {
     double place[5] = {m->state[0], m->state[1]};
-    if (k->in_space)
-      run_one(w, k->body->surface->tables[IN_SPACE][M_COORDINATES], k->body->numbers, m->state,
-              place);
+    if (k->in_space) run_body(w, k->body, IN_SPACE, M_COORDINATES, m->state, place);
     e->u = place[0], e->v = place[1];
   }
   fail(w, code);

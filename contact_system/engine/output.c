@@ -368,8 +368,8 @@ static void usual_state(work_t *w, const track_t *k, double t, double *state) {
   sample_body(w, &m, b->side, 1, NEED_STATE);
   for (int j = 0; j < state_size(k->in_space); j++) state[j] = m.side[b->side].state[j][0];
   if (!moves_in_space(b->surface)) return;
-  if (!k->in_space) run_one(w, b->surface->tables[IN_SPACE][A_START], b->numbers, state, state);
-  restore_body(w, b, state);
+  if (!k->in_space) run_body(w, b, IN_SPACE, A_START, state, state);
+  run_body(w, b, IN_SPACE, A_RESTORE, state, state);
 }
 
 /* Path velocities at a time */

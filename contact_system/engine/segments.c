@@ -47,10 +47,9 @@ static void state_of(course_t *c, int side, double *state) {
     memcpy(state, start_place(contact, side), 3 * sizeof *state);
   } else if (any(p) || p[2] != 0.0) {
     memcpy(state, frame, 6 * sizeof *state);
-    restore_body(c->w, b, state);
+    run_body(c->w, b, IN_SPACE, A_RESTORE, state, state);
   } else {
-    run_one(c->w, b->surface->tables[IN_SPACE][A_START], b->numbers, start_place(contact, side),
-            state);
+    run_body(c->w, b, IN_SPACE, A_START, start_place(contact, side), state);
   }
 }
 
