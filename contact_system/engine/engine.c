@@ -53,12 +53,9 @@ static plan_t *make_plan(const double *scene, int64_t size, const surface_t *con
   plan->scene = keep(&w, size, sizeof *scene);
   memcpy(plan->scene, scene, (size_t)size * sizeof *scene);
   plan->surfaces = surfaces;
-  plan->contacts = keep(&w, (int64_t)scene[S_CONTACTS], sizeof(contact_t));
-  for (; plan->n_contacts < (int64_t)scene[S_CONTACTS]; plan->n_contacts++) {
-    w.begun = w.tried;
-    plan_contact(&w, plan->n_contacts);
-    if (w.tried - w.begun > w.most) w.most = w.tried - w.begun, w.costliest = plan->n_contacts;
-  }
+  plan->n_contacts = (int64_t)scene[S_CONTACTS];
+  plan->contacts = keep(&w, plan->n_contacts, sizeof(contact_t));
+  for (int64_t i = 0; i < plan->n_contacts; i++) plan_contact(&w, i);
   end_work(&w);
   return plan;
 }

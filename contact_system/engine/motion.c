@@ -467,9 +467,6 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   failure_t *e = w->failure;
   const double start = k->by_length ? 0.0 : k->drive->start;
   e->t = start + s->tau, e->end = start + m->length, e->panels = count;
-  const int this = w->tried - w->begun > w->most;
-  e->tried = w->tried, e->most = this ? w->tried - w->begun : w->most;
-  e->costliest = this ? e->contact : w->costliest;
   e->by_length = k->by_length, e->pushed = m->pushed;
   e->value = k->by_length ? 1.0 : sigma_at(k->drive, s->tau);
   if (k->body) {
@@ -486,13 +483,20 @@ static void require_progress(work_t *w, const motion_t *m, const step_t *s, int6
                              double *mark) {
   /* at tau = 0 any h is allowed: a boundary layer may be arbitrarily thin */
   if (!(s->h > 1e-15 * s->tau)) fail_motion(w, m, s, STUCK, count);
-  const double left = w->plan->scene[S_PANELS] - (double)w->tried;
+  const double left = w->plan->scene[S_PANELS] - (double)w->failure->tried;
   int endless = left < 0;
   if (count && count % ESTIMATE_EVERY == 0 && s->tau > *mark) {
     endless |= ESTIMATE_EVERY * (m->length - s->tau) > left * (s->tau - *mark);
     *mark = s->tau;
   }
   if (endless) fail_motion(w, m, s, TOO_MANY_PANELS, count);
+}
+
+/* Counts a panel that is tried, and notes the contact that tries the most. */
+static void count_panel(work_t *w) {
+  failure_t *e = w->failure;
+  const int64_t count = ++e->tried - w->begun;
+  if (count > e->most) e->most = count, e->costliest = e->contact;
 }
 
 /* Integrates a motion from m->state over [0, m->length], or until it finishes; returns its panels,
@@ -506,7 +510,7 @@ static panels_t integrate(work_t *w, motion_t *m, double tolerance) {
   double mark = 0.0;
   room_for(w, &w->edges, 8)[0] = 0.0;
   while (s.tau < m->length) {
-    w->tried++;
+    count_panel(w);
     require_progress(w, m, &s, (int64_t)count, &mark);
     double *series = room_for(w, &w->series, (count + 8) * size);
     double *edges = room_for(w, &w->edges, count + 2);

@@ -319,7 +319,7 @@ static void plan_contact(work_t *w, int64_t index) {
   contact_t *contact = plan->contacts + index;
   course_t c = {.w = w, .contact = contact};
   contact->row = plan->scene + S_HEADER + index * CONTACT_SIZE;
-  w->failure->contact = index;
+  w->failure->contact = index, w->begun = w->failure->tried;
   contact->body[0] = body_of(plan, contact->row + K_FINGER, 0);
   contact->body[1] = body_of(plan, plan->scene + S_OBJECT, 1);
   begin(&c);

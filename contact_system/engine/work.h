@@ -108,10 +108,9 @@ struct work {
   plan_t *plan;
   unit_t body[2][2][N_TABLES]; /* side, in the chart or in space, table */
   unit_t pair[N_CONTACT_TABLES];
-  room_t one;              /* registers of tables that run at one point */
-  room_t edges, series;    /* of the motion that is being integrated, then of its anchors */
-  int64_t tried, begun;    /* panels tried so far, and before this contact */
-  int64_t most, costliest; /* most panels tried by an earlier contact, and which one it was */
+  room_t one;           /* registers of tables that run at one point */
+  room_t edges, series; /* of the motion that is being integrated, then of its anchors */
+  int64_t begun;        /* panels tried before this contact; failure->tried counts them */
 };
 
 static _Noreturn void fail(work_t *w, int code) {
