@@ -15,8 +15,9 @@ enum { STAGES = 12 };
 
 #include "interpret.c"
 #include "work.h"
-#include "motion.c"
+#include "series.c"
 #include "schedule.c"
+#include "motion.c"
 #include "closed_form.c"
 #include "branches.c"
 #include "singular.c"

@@ -11,6 +11,13 @@ static inline double horner(const double *c, int64_t n, double x) {
   return y;
 }
 
+/* its derivative */
+static inline double slope_of(const double *c, int64_t n, double x) {
+  double y = 0.0;
+  for (int64_t k = n - 1; k >= 1; k--) y = y * x + (double)k * c[k];
+  return y;
+}
+
 /* the value at x, or 0 where rounding, also of the coefficients, may change its sign */
 static inline double clear_value(const double *c, int64_t n, double x, double value) {
   double size = 0.0;

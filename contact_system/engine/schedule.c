@@ -5,6 +5,51 @@
    products of polynomials are formed in doubled precision and rounded once: terms of sigma may
    cancel. */
 
+/* ---- at local times ---- */
+
+static inline void horners(const double *c, int64_t n, const double *x, double *restrict y) {
+  for (int i = 0; i < L; i++) y[i] = c[n - 1];
+  for (int64_t k = n - 2; k >= 0; k--)
+    EACH_LANE(i) y[i] = y[i] * x[i] + c[k];
+}
+
+static inline double sigma_at(const drive_t *d, double tau) {
+  return horner(d->sigma, d->n_sigma, tau);
+}
+static inline double length_at(const drive_t *d, double tau) {
+  return horner(d->length, d->n_sigma + 1, tau);
+}
+static inline double exponent_at(const drive_t *d, double tau) {
+  return horner(d->exponent, d->n_exponent, tau);
+}
+
+/* lam at a local time */
+static inline double gain_at(const drive_t *d, double tau) {
+  double lam = slope_of(d->exponent, d->n_exponent, tau);
+  if (d->grows) lam += slope_of(d->sigma, d->n_sigma, tau) / sigma_at(d, tau);
+  return lam;
+}
+
+/* The decay exp(-(L(tau) - L(0))); sigma: at the same times */
+static void decays(const drive_t *d, const double *tau, const double *sigma, double *out) {
+  double lost[L];
+  horners(d->exponent, d->n_exponent, tau, lost);
+  EACH_LANE(i) out[i] = v_exp(-lost[i]);
+  if (d->grows)
+    for (int i = 0; i < L; i++)
+      if (tau[i] > 0) out[i] *= d->sigma[0] / sigma[i];
+}
+
+static double decay_at(const drive_t *d, double tau) {
+  double t[L], sigma[L], out[L];
+  fill_lanes(t, tau);
+  horners(d->sigma, d->n_sigma, t, sigma);
+  decays(d, t, sigma, out);
+  return out[0];
+}
+
+/* ---- the pieces ---- */
+
 /* Taylor's shift of a polynomial to start, by repeated Horner's schemes */
 static void shift(const double *c, int64_t n, double start, twofold_t *out) {
   for (int64_t i = 0; i < n; i++) out[i] = twofold(c[i]);
