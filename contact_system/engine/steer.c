@@ -71,8 +71,6 @@ static void advance(rolled_t *r, const double *length) {
   if (body->geodesic) {
     lines_t *g = &r->lines;
     memcpy(g->length, length, sizeof g->length);
-    for (int l = 0; l < L; l++)
-      if (g->lost[l]) g->length[l] = 0.0;
     for (int f = 0; f < FIELDS; f++) fill_lanes(g->y[g->state + f], f == 1 || f == 2);
     follow(g, 0, 0, L, NULL);
     memcpy(r->at, g->shown, sizeof r->at);
