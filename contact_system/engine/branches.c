@@ -179,10 +179,11 @@ static void add_anchors(work_t *w, const track_t *k, const double *x, int64_t *n
 
 /* Where the anchors of a track are at first, counted from 1; it begins at 0. */
 static double base_place(const track_t *k, int64_t place) {
-  if (k->kind == CIRCLE) return TURN * (double)place / CIRCLE_ANCHORS;
+  if (k->kind == CIRCLE) return TURN * (double)place / (double)CIRCLE_ANCHORS;
   const int64_t panel = (place - 1) / PANEL_ANCHORS;
   const double *edge = k->panels.edges + panel;
-  return edge[0] + (double)(place - PANEL_ANCHORS * panel) / PANEL_ANCHORS * (edge[1] - edge[0]);
+  const double part = (double)(place - PANEL_ANCHORS * panel) / (double)PANEL_ANCHORS;
+  return edge[0] + part * (edge[1] - edge[0]);
 }
 
 /* Finds the anchors of a track that begins at u v theta. */

@@ -420,7 +420,8 @@ static int judge_panel(motion_t *m, step_t *s, double after, double error, doubl
      exact. One that follows an accepted one has at most twice its length: with 4 times, 4 % fewer
      sweeps, small slip under a large gain is off by 1e-9 of it. */
   const int fits = error <= allowed;
-  const double ratio = 0.9 * pow(allowed / fmax(error, 1e-30), 1.0 / (fits ? L : 1.5 * L));
+  const double order = (fits ? 1.0 : 1.5) * (double)L;
+  const double ratio = 0.9 * pow(allowed / fmax(error, 1e-30), 1.0 / order);
   s->span = span, s->known = fits ? LAST_PANEL : REFUSED_PANEL;
   if (!fits) {
     s->h = span * fmin(fmax(ratio, SHRINK), 0.8);
@@ -486,7 +487,7 @@ static void require_progress(work_t *w, const motion_t *m, const step_t *s, int6
   const double left = w->plan->scene[S_PANELS] - (double)w->failure->tried;
   int endless = left < 0;
   if (count && count % ESTIMATE_EVERY == 0 && s->tau > *mark) {
-    endless |= ESTIMATE_EVERY * (m->length - s->tau) > left * (s->tau - *mark);
+    endless |= (double)ESTIMATE_EVERY * (m->length - s->tau) > left * (s->tau - *mark);
     *mark = s->tau;
   }
   if (endless) fail_motion(w, m, s, TOO_MANY_PANELS, count);
@@ -503,7 +504,7 @@ static void count_panel(work_t *w) {
    in the plan's memory. */
 static panels_t integrate(work_t *w, motion_t *m, double tolerance) {
   m->tolerance = fmax(0.1 * fmin(tolerance, COARSE), ROUNDING);
-  const double wide = pow(m->tolerance / 1e-13, 1.0 / L); /* than at a tolerance of 1e-12 */
+  const double wide = pow(m->tolerance / 1e-13, 1.0 / (double)L); /* than at a tolerance of 1e-12 */
   step_t s = {.h = first_step(m, wide, FALL * wide)};
   const size_t size = (size_t)m->n * TERMS; /* of a panel's series */
   size_t count = 0;
