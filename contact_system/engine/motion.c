@@ -295,8 +295,7 @@ static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at
        ones converge more slowly. */
     const double next = k > has_v(m) ? change * fmax(ratio, before) : change;
     if (next <= 3e-2 * m->tolerance || change <= ROUNDING) return 1;
-    if (change <= 1e-13 && ratio > 0.25) return 1; /* rounding of large coordinates */
-    if (!(change < 1e10)) return 0;                /* they diverge */
+    if (!(change < 1e10)) return 0; /* they diverge */
     if (k == 3 && hopeless(m, half, at, *f)) return 1;
     if (k) before = ratio;
     last = change;
