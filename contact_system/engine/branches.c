@@ -111,9 +111,9 @@ static inline double product(double sin_u, double cos_v) {
 /* Whether y may change its sign, once or twice, between the middle two of four places. At an end of
    a path two of the places are equal.
 
-   It may do so twice if |y| falls before these two and rises after them. At these rates it comes to
-   0 in some part of the step from each end. Where a parabola touches 0 and steps are equal, the sum
-   of both parts is at most 1/3. */
+   It may do so twice if |y| falls before these two and rises after them. If it went on at these
+   rates, it would come to 0 in some part of the step from each end. The sum of both parts is 1/3 at
+   most for a parabola that touches 0, with equal steps; 0.5 leaves a margin. */
 static int may_cross(const double *x, const double *y) {
   const double sign = y[1] + y[2] < 0.0 ? -1.0 : 1.0, step = sign * (x[2] - x[1]);
   const double fall = x[1] > x[0] ? step * (y[0] - y[1]) / (x[1] - x[0]) : HUGE_VAL;

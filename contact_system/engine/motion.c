@@ -39,7 +39,7 @@ typedef struct {
 typedef struct {
   double sigma[L], decay[L], lam[L], inverse[L][L];
   double w2[2][L], pushed_1[2][L]; /* W_2; the finger's acceleration, in its parallel frame */
-  double allowed;                  /* error of the panel */
+  double allowed;                  /* the greatest error at which the panel is accepted */
 } nodes_t;
 
 static unit_t *table_of(work_t *w, const body_t *b, int in_space, int table) {

@@ -90,7 +90,7 @@ static const drive_t *drive_on(work_t *w, const double *leg, double start, doubl
   *d = (drive_t){.leg = leg, .start = start, .stop = stop, .sigma = sigma, .length = length};
   d->n_sigma = n;
   if (scene[S_CANCELS_GROWTH] > 0) {
-    /* where sigma touches zero its rounded first coefficient must not set the ratio's scale */
+    /* decay has the factor sigma[0]/sigma: where sigma starts at 0, it must be 0, not rounding */
     sigma[0] = clear_value(c, n, from, sigma[0]);
     d->grows = slope_of(c, n, 0.5 * (from + to)) > 0;
   }
@@ -107,7 +107,7 @@ static const drive_t *drive_on(work_t *w, const double *leg, double start, doubl
     least = fmin(least, value), greatest = fmax(greatest, value);
   }
   d->least = least;
-  /* the least lam/sigma or, if greater, 1/length: see drive_t */
+  /* lam/sigma is gain sigma^(power - 1): if power is 0, it is least where sigma is greatest */
   const double base = power > 1 ? least : fmax(greatest, 1e-300);
   d->per_metre =
       fmax(scene[S_GAIN] * pow(base, (double)(power - 1)), 1.0 / fmax(length_at(d, span), 1e-300));

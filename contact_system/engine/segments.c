@@ -107,7 +107,7 @@ static double first_length(const body_t *b) { return 0.5 * sqrt(b->least_radius 
 
 static void add_geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
   const body_t *b = &c->contact->body[side];
-  /* with imposed rolling, that the finger's curve is a geodesic is a result, not an assumption */
+  /* where rolling is imposed, the finger's curve is integrated: it shows to be a geodesic */
   const int form = reason == FOLLOWING && side == 0 ? NO_CLOSED_FORM : b->surface->closed_form;
   if (form != NO_CLOSED_FORM) {
     double state[6];

@@ -271,7 +271,9 @@ static void arrive_in_pose(search_t *w) {
       spin[2][i][l] = aside[1][i][l] - aside[0][i][l];
     }
   const double none[L] = {0};
-  for (int row = 0; row < 3; row++) /* each changes two of the nine entries: off is their sum */
+  /* A turn about an axis changes two of the nine entries, by as much: two equations with the same
+     slopes. `off` is the sum of their errors, so the second one has none. */
+  for (int row = 0; row < 3; row++)
     add_row(e, n, spin[row], off[row]), add_row(e, n, spin[row], none);
   if (!is_pose) return;
   by_unknown_t moves[3];
@@ -310,7 +312,8 @@ static void try_paths(search_t *w) {
 
 /* ---- the Gauss-Newton method, with Levenberg's damping ---- */
 
-static const double NO_DAMPING = 1e-12; /* but where no equation depends on an unknown */
+/* Of a last step: enough that unknowns on which no equation depends stay as they are */
+static const double NO_DAMPING = 1e-12;
 
 /* The step of a lane, x = (square + damping)^-1 gradient, by Cholesky's method */
 static void solve(const equations_t *e, int n, int l, double damping, double *x) {

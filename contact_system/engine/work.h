@@ -14,9 +14,9 @@ typedef struct {
   const double *leg; /* in the scene's buffer */
   double start, stop;
   double least;     /* the least sigma */
-  double per_metre; /* the least lam/sigma or, if greater, 1/length, 1/m: V moves the contact by at
-                       most |V|/per_metre before it has decayed */
-  int64_t grows;    /* sigma grows, which the law cancels: decay has the factor sigma(0)/sigma */
+  double per_metre; /* 1/m: V moves the contact by |V|/per_metre at most. The greater of 1/length
+                       and the least lam/sigma, which is the decay of V per metre */
+  int64_t grows;    /* sigma grows, and the law cancels that: decay has the factor sigma(0)/sigma */
   int64_t n_sigma, n_exponent;
   /* polynomials: sigma; L without the term for growth; int sigma, which has n_sigma + 1 terms */
   const double *sigma, *exponent, *length;
