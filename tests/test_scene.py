@@ -35,8 +35,6 @@ from contact_system import (
 )
 
 pi = math.pi
-PAPER = ("C1", "C2", "D1", "D2", "D3", "K1", "K2", "K3", "K4")
-OWN = ("R1", "bowl", "chart", "implicit", "torus")
 FINGER = Sphere(0.04)
 
 
@@ -67,15 +65,6 @@ def written(scene: Scene) -> str:
 
 
 # --- bundled scenes ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", PAPER + OWN)
-def test_a_bundled_scene_is_the_same_after_it_is_saved_and_loaded(name):
-    scene = load_scene(name)
-    assert scene.name == name
-    again = read(written(scene))
-    assert again == scene
-    assert written(again) == written(scene)
 
 
 SPHERES = [(pi / 6, pi / 6), (2 * pi / 3, pi / 6), (pi / 10, pi)]
