@@ -149,14 +149,6 @@ def test_the_printed_gain_lets_slip_grow_and_a_constant_one_gives_the_reported_t
     assert slip_factor(SLOW, Gain.time(100), 0.1, 0.14) == pytest.approx(0.032, abs=6e-4)
 
 
-@pytest.mark.parametrize(
-    "profile, duration, least", [(SLOW, 1, 1.04e7), (MEDIUM, 4, 200), (FAST, 4, 0.2)]
-)
-def test_the_least_contracting_gain_of_the_papers_profiles(profile, duration, least):
-    report = contraction(profile, Gain.path(100), duration)
-    assert report.least_eta == pytest.approx(least, rel=5e-3)
-
-
 @pytest.mark.parametrize("law", [Gain.path, Gain.time])
 @pytest.mark.parametrize("profile", [SLOW, MEDIUM, FAST, WAVY])
 def test_the_contraction_report_agrees_with_values_on_a_grid(law, profile):
