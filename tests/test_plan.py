@@ -141,6 +141,9 @@ def test_explain_tells_the_method_for_each_body_the_cheapest_that_is_exact(surfa
     assert slipping in cs.plan(one_contact(surface)).explain()
     text = cs.plan(one_contact(surface, object_velocity="rolling")).explain()
     assert alone in text and "no slip" in text and slipping not in text
+    soon = cs.plan(one_contact(surface, gain=cs.Gain.time(100.0))).explain()
+    settles = surface not in ("plane", "cylinder")  # these need no integration while it slips
+    assert ("slip is below tolerance" in soon) == settles and "below tolerance" not in text
 
 
 def test_explain_names_scene_tolerance_intervals_and_causes():

@@ -160,15 +160,6 @@ def test_where_the_path_rests_all_rates_are_zero_and_slip_follows_its_law(obj, p
         assert np.isfinite(plan.acceleration(T)).all()
 
 
-@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "bumps"])
-def test_explain_says_where_slip_has_fallen_below_the_tolerance(obj):
-    scene = one_contact(obj, gain=cs.Gain.time(100.0), profile=(0.2,))
-    assert "below tolerance" in cs.plan(scene).explain()
-    rolling = one_contact(obj, object_velocity="rolling", profile=(0.2,))
-    assert "below tolerance" not in cs.plan(rolling).explain()
-    assert_slip_follows_the_exact_law(scene, T)
-
-
 def test_slip_of_a_billionth_and_less_of_sigma_is_not_taken_for_rolling():
     rolled = reflection(0.3) @ (0.6, 0.8)
     for off in (1e-9, 1e-12):
