@@ -65,6 +65,11 @@ def test_every_kind_of_surface_can_be_drawn(name, tmp_path, pillow):
         assert _ink(image) > 0.05
 
 
+def test_an_open_surface_is_seen_around_a_contact_at_rest():
+    plan = cs.plan(_scene(cs.Plane(), gain=cs.Gain.time(0)))  # the finger turns in place
+    assert plots.mesh_of(plan, 1, [0]).size > 0.1
+
+
 @pytest.mark.parametrize("name", ["K1", "D1", "C1"])
 def test_slip_can_be_drawn_beside_another_law_with_a_jump_and_where_there_is_none(
     name, tmp_path, pillow

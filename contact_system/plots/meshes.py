@@ -102,6 +102,8 @@ def _span(
         results = plan.evaluate(t, "states", "points")
         q = results["states"][:, contacts, 4 * side : 4 * side + 2].reshape(-1, 2)
         extent = np.ptp(results["points"][:, contacts, side].reshape(-1, 3), axis=0).max()
+        if extent < 1e-9 * surface.size:  # the contacts rest, but for rounding
+            extent = surface.size
         margin = 0.35 * extent / surface.lame(*q[len(q) // 2])[k]
         start, stop = q[:, k].min() - margin, q[:, k].max() + margin
     hair = 1e-6 * (stop - start)
