@@ -288,7 +288,6 @@ def _leg_table(leg: Leg) -> dict[str, Any]:
     table = {"direction": _angle(leg.direction), "duration": leg.duration}
     if leg == Leg(leg.direction, leg.length, leg.duration):
         return table | {"length": leg.length}
-    assert leg.profile is not None
     return table | {"profile": leg.profile.coefficients}
 
 

@@ -31,9 +31,9 @@ class Leg:
     direction : float
         Angle of the path from the contact's ``finger_velocity``, in the finger's parallel frame
         (theory section 4), rad. Two legs with the same direction meet without a corner.
-    length : float or None
+    length : float
         Length along s, m; the curve on the finger is |finger_velocity| times as long. 0: the
-        contact rests. None: the length follows from the profile.
+        contact rests. None, as an argument: the length follows from the profile.
     duration : float
         s.
     profile : Profile, optional
@@ -47,9 +47,9 @@ class Leg:
     """
 
     direction: float
-    length: float | None
+    length: Any  # arguments may be None, values never are
     duration: float
-    profile: Profile | None = None
+    profile: Any = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -96,7 +96,6 @@ def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
     """The intervals of legs on a horizon [s], and of the rest after them unless they end moving."""
     result, start, before = [], 0.0, legs[0].direction
     for leg in legs:
-        assert leg.profile is not None
         stop = start + leg.duration
         if not stop < duration * (1 - 1e-14):
             stop = duration

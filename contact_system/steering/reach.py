@@ -101,7 +101,7 @@ def reach(
         texts.append(f"{scene.contact_name(i)}: {tried}")
     legged = scene.replace(contacts=contacts, profile=STILL, **NO_CLAIMS)
     legs_by_contact = tuple(tuple(contact.legs) for contact in legged.contacts)
-    whole = sum(leg.length or 0.0 for path in legs_by_contact for leg in path)
+    whole = sum(leg.length for path in legs_by_contact for leg in path)
     return Route(legged, legs_by_contact, whole, residual, "; ".join(texts))
 
 
