@@ -48,6 +48,7 @@ STRAIGHT = 1e-8  # damping of J J^T over its trace, for fingers that are stretch
 SLIPPING = 1e-3  # slip over the object's speed at which joints are said not to roll a tip
 AT_LIMIT = 1e-9  # distance from a limit, in the joint's unit, at which it counts as reached
 REACHED = 1e-9  # m or rad, greatest error of a tip
+ROUNDED = 1e-6  # m, the same for fingers in planes that a file of few digits puts beside contacts
 STARTS, TRIES = 20, 60  # greatest numbers of starts of SNOPT, and of Newton's steps to a pose
 UNBOUNDED = 1e3  # rad or m, stands for the limits of joints without limits
 
@@ -263,6 +264,8 @@ class Chains:
                 return found
             tries.append((found, tips, errors))
         found, tips, errors = min(tries, key=lambda each: each[2].max())
+        if errors.max() < ROUNDED:
+            return found
         i = int(np.argmax(errors))
         point, tip = (np.round(each[i], 4).tolist() for each in (points, tips))
         raise SceneError(
