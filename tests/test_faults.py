@@ -141,7 +141,7 @@ def digest(process: subprocess.Popen) -> str:
 
 
 def wait_until(reached) -> None:
-    end = time.monotonic() + 20
+    end = time.monotonic() + 60
     while not reached():
         assert time.monotonic() < end
         time.sleep(0.02)
