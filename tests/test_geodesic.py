@@ -224,7 +224,7 @@ def test_points_that_no_geodesic_can_join_are_refused(surface, a, b, says):
         cs.geodesic(surface, a, b)
 
 
-def test_refusals_of_several_geodesics_and_of_lengths():
+def test_wrong_counts_pairs_and_lengths_of_geodesics_are_refused():
     with pytest.raises(cs.SurfaceError, match="most = 0"):
         cs.geodesics(ELLIPSOID, (1, 1), (2, 1), 0)
     with pytest.raises(cs.SurfaceError, match="the same point"):

@@ -192,7 +192,7 @@ def test_no_finite_gain_contracts_throughout_where_sigma_rises_from_zero(law, c)
     assert ("starts from zero" if c[0] == 0 else "touches zero on the way") in str(report)
 
 
-def test_whether_slip_contracts_throughout_under_gains_of_zero_and_nearly_zero():
+def test_slip_contracts_throughout_only_if_the_gain_exceeds_the_least_one():
     falling = contraction(Profile([1, -0.5]), Gain.path(0), 1)
     assert (falling.throughout, falling.least_eta) == (True, 0)
     assert not contraction(Profile([1]), Gain.time(0), 1).throughout
