@@ -17,12 +17,7 @@ import contact_system as cs
 from benchmarks.stress_laws import left_over
 
 T = np.linspace(0.0, 1.0, 41)
-PROFILE = (0.05, 0.2, -0.1)
-GAINS = {
-    "path": cs.Gain.path(30.0),
-    "time": cs.Gain.time(3.0),
-    "guaranteed": cs.Gain.guaranteed(2.0),
-}
+GAINS = cs.Gain.path(30.0), cs.Gain.time(3.0), cs.Gain.guaranteed(2.0)
 
 
 def assert_slip_follows_the_exact_law(scene: cs.Scene, t: np.ndarray) -> None:
@@ -39,8 +34,8 @@ def assert_slip_follows_the_exact_law(scene: cs.Scene, t: np.ndarray) -> None:
 
 @pytest.mark.parametrize("obj", SURFACES)
 def test_slip_follows_the_exact_law_with_every_finger(obj):
-    for finger, gain in zip(SURFACES, itertools.cycle(GAINS.values())):
-        assert_slip_follows_the_exact_law(one_contact(obj, finger, gain, PROFILE), T)
+    for finger, gain in zip(SURFACES, itertools.cycle(GAINS)):
+        assert_slip_follows_the_exact_law(one_contact(obj, finger, gain), T)
 
 
 # --- where the gain and the profile are extreme
