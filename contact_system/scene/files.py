@@ -84,7 +84,7 @@ def _scene(text: str, source: str) -> Scene:
     for i, contact in enumerate(fields["contacts"]):
         with naming(f"contacts[{i}]"):
             refuse_degrees(contact, fields["object"], contact.finger)
-    return Scene(**fields, source=source)
+    return Scene(**fields)
 
 
 def refuse_degrees(places: Contact | Goal, body: Surface, finger: Surface) -> None:

@@ -57,8 +57,6 @@ class Scene:
         the object.
     name, description : str
         For messages and pictures.
-    source : str
-        File the scene was read from; not compared.
     paper : mapping
         What the paper reports: ``figure`` and ``reports``, texts; ``recovery_time`` of slip [s];
         ``lateral_force`` at which a contact saturates [N].
@@ -82,7 +80,6 @@ class Scene:
     turning: Turning | None = None
     name: str = ""
     description: str = ""
-    source: str = field(default="", compare=False)
     paper: Mapping[str, Any] = field(default_factory=dict, hash=False)
     chosen: Sequence[str] = ()
     drake: Mapping[str, Any] = field(default_factory=dict, hash=False)
@@ -201,7 +198,7 @@ class Scene:
             raise SceneError("contacts = []: a scene needs at least one contact")
         put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", KINDS))
         put(self, "chosen", all_of(str, self.chosen, "chosen", "text"))
-        for key in ("name", "description", "source"):
+        for key in ("name", "description"):
             a_text(getattr(self, key), key)
         for key in ("paper", "drake"):
             if (table := getattr(self, key)) != {}:
@@ -298,7 +295,7 @@ class Scene:
 
 # --- keys of scene files -----------------------------------------------------------------------
 
-SCENE_KEYS = [field.name for field in dataclasses.fields(Scene) if field.name != "source"]
+SCENE_KEYS = [field.name for field in dataclasses.fields(Scene)]
 PAPER_KEYS = ("figure", "reports", "recovery_time", "lateral_force")
 PAPER_NUMBERS = PAPER_KEYS[2:]
 

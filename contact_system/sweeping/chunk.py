@@ -157,7 +157,7 @@ def _scene(item: Item) -> Scene:
     )
 
 
-ITS_OWN = {"contacts", "disturbances", "name", "description", "source"}
+ITS_OWN = {"contacts", "disturbances", "name", "description"}
 """Fields in which scenes that are planned as one may differ."""
 COMMON = operator.attrgetter(*(f.name for f in fields(Scene) if f.name not in ITS_OWN))
 
