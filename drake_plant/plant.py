@@ -192,7 +192,7 @@ def AddScenePlant(
     with naming(f"{scene.title}, plant"):
         _check_names(builder, config)
         config = dataclasses.replace(config)  # the caller may change what is his
-        _check_surfaces(scene, config)
+        check_surfaces(scene, config)
         touches = touches_of(scene if config.hand is None else resting(scene))
         _check_edges(scene, config, touches)
         return _add(builder, scene, config, touches)
@@ -260,7 +260,7 @@ def model_names(scene: Scene) -> list[str]:
     return names
 
 
-def _check_surfaces(scene: Scene, config: StationConfig) -> None:
+def check_surfaces(scene: Scene, config: StationConfig) -> None:
     """Refuse what Drake's contact cannot do, with the reason."""
     if config.object == "turning" and scene.turning is None:
         raise SceneError(

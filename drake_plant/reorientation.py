@@ -27,7 +27,7 @@ from .balance import balancing_forces, friction_used, needed_wrench
 from .config import StationConfig
 from .hand import Hand
 from .hand_kinematics import Chains
-from .plant import AddScenePlant, solid_inertia
+from .plant import AddScenePlant, check_surfaces, solid_inertia
 from .pressing import REACH, resting, rolling_scene
 
 STEPS = 16  # least number of integration steps from the start of the motion to its end
@@ -193,6 +193,7 @@ def plan_reorientation(
                 f"from 0 to duration = {scene.duration:g} s; give a path within"
             )
         scene = scene.replace(drake=config.table())
+        check_surfaces(scene, config)
         inertia = object_inertia(scene, config)
         plan = _planned(scene, config, path, inertia, config.normal_force)
         mean = float(np.mean(np.einsum("mij,mij->mi", plan.forces, plan.normals)))

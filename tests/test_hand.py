@@ -93,6 +93,11 @@ def test_what_a_hand_cannot_do_is_refused_with_the_reason(changes, words):
         hand_plan(**changes)
 
 
+def test_point_contact_on_an_ellipsoid_is_refused():
+    with pytest.raises(cs.SceneError, match="is exact for a sphere on a sphere or on a plane"):
+        hand_plan(H2.replace(object=cs.Ellipsoid(0.05, 0.05, 0.05)), contact_model="point")
+
+
 AZIMUTHS = [0, 2 * math.pi / 3, -2 * math.pi / 3]
 OWN_HAND = own_hand(AZIMUTHS)  # the SDF text of the package's hand
 
