@@ -63,6 +63,7 @@ class Variable:
 
     @property
     def size(self) -> int:
+        """Number of its elements."""
         return math.prod(self.shape)
 
     @property
