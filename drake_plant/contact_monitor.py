@@ -95,10 +95,10 @@ class ContactMonitor(LeafSystem):
         - body_spatial_accelerations (optional)
         - noise (optional)
         output_ports:
-        - state
         - slip
         - normal_force
         - tangential_force
+        - state
         - contact_point
         - sliding
 

@@ -45,8 +45,8 @@ class HandDriver(LeafSystem):
         - sliding (optional)
         - push (optional)
         output_ports:
-        - generalized_force
         - torque
+        - generalized_force
 
     `state` and `body_poses` are the plant's, `generalized_force` goes to its
     `applied_generalized_force`. `torque` (nq) are the torques of the joints, within their limits,

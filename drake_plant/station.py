@@ -44,11 +44,11 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
         - noise
         - disturbance (with disturbance_input)
         output_ports:
+        - planned_contact_forces, planned_normal_force, planned_friction_used (with a balance)
         - those of the planner, such as pose
         - spatial_forces
         - those of the monitor, such as normal_force; measured_state, measured_slip
           and measured_contact_point, as the planner has ports of these names
-        - planned_contact_forces, planned_normal_force, planned_friction_used (with a balance)
         - plant_state
         - object_state
         - body_poses
