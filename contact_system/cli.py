@@ -195,7 +195,8 @@ def _reach(args: argparse.Namespace) -> int:
         route = reach(scene, goals, seconds=args.seconds)
         progress.step("planning")
         planned = plan(route.scene.replace(name=stem.name), args.tolerance)
-    tell(f"{scene.title}: {route.length:.6g} m in all, {route.residual:.1e} off; {route.tried}")
+    off = f"{route.residual:.1e} (in sizes, rad) off"
+    tell(f"{scene.title}: {route.length:.6g} m in all, which end {off}")
     for i, legs in enumerate(route.legs):
         for k, leg in enumerate(legs):
             where = f"{scene.contact_name(i)}, leg {k + 1}"
