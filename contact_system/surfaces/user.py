@@ -85,7 +85,7 @@ class ParametricSurface(UserSurface):
     """A surface given by its chart f(u, v), orthogonal or not.
 
     A path through a point where f_u or f_v vanishes or they are parallel, such as a pole, is
-    refused.
+    refused, unless rounding leads around it.
 
     Parameters
     ----------
