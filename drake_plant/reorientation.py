@@ -352,8 +352,9 @@ def _refuse_pads(scene: Scene, hand: Hand, t: Array, points: Array) -> None:
         if away.max() > hand.pad:
             k = int(np.argmax(away > hand.pad))
             raise SceneError(
-                f"{scene.contact_title(i)} rolls off its pad: at t = {t[k]:.3g} s it touches "
-                f"{away[k]:.4g} m from the pad's middle, pad = {hand.pad:g} m"
+                f"{scene.contact_title(i)} rolls off its pad, pad = {hand.pad:g} m, at t = "
+                f"{t[k]:.3g} s, and would come to {away.max():.4g} m from the pad's middle; turn "
+                "or move the object less, or give a larger pad"
             )
 
 
