@@ -93,8 +93,9 @@ def _printed(result: SimulationResult, opened: SimulationResult | None) -> Itera
 
     scene, config = result.scene, result.config
     yield paragraph(f"{scene.name or 'scene'}: {scene.description}".rstrip(": "))
+    steps = f"step {config.time_step:g} s" if config.time_step else "continuous plant"
     yield paragraph(
-        f"{config.contact_model} contact, step {config.time_step:g} s: "
+        f"{config.contact_model} contact, {steps}: "
         f"{result.t[-1] - result.t[0]:g} s simulated in {result.wall_time:.1f} s, "
         f"{(result.t[-1] - result.t[0]) / result.wall_time:.2f} times real time; "
         f"built in {result.build_time:.1f} s"
