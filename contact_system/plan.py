@@ -50,7 +50,7 @@ def plan(
     method : str
         "auto": the cheapest exact method for each contact and interval (theory sections 4 to 7).
         "chart": the paper's equations (eqs. `timegeodesic`, `contrac`), errata corrected, by a
-        scipy solver; for comparison.
+        solver of scipy, which it needs; for comparison.
     solver : str
         scipy's method for ``method="chart"``: RK23, RK45, DOP853, Radau, BDF or LSODA.
     compiled : bool or None

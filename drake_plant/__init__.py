@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 try:
     import pydrake  # noqa: F401
+    import scipy  # noqa: F401
 except ImportError as error:
     raise ImportError(
-        f'drake_plant needs Drake: pip install "contact-system[drake]" (Linux, macOS): {error}'
+        'drake_plant needs Drake and scipy: pip install "contact-system[drake]" (Linux, macOS): '
+        f"{error}"
     ) from error
 
 if TYPE_CHECKING:

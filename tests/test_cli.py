@@ -120,6 +120,13 @@ def test_run_without_matplotlib_still_writes_numbers(tmp_path, monkeypatch, caps
     assert (tmp_path / "torus.csv").exists()
 
 
+def test_method_chart_without_scipy_says_what_to_install(monkeypatch, capsys):
+    monkeypatch.delitem(sys.modules, "contact_system.planning.chart_solution", raising=False)
+    monkeypatch.setitem(sys.modules, "scipy.integrate", None)
+    error = _error(capsys, "explain", "K1", "--method", "chart")
+    assert 'method "chart" needs scipy: pip install scipy' in error
+
+
 def test_a_sample_time_at_a_pole_is_left_out_of_the_files(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     # The first contact rolls over the pole at t = 0.7: 0.07 m on a radius of 0.1 m. The window on

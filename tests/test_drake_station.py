@@ -250,10 +250,11 @@ def test_a_disturbance_at_the_input_port_moves_the_contact_like_one_of_the_scene
     assert station.GetOutputPort("slip").Eval(context)[:2] == pytest.approx(planned, abs=1e-6)
 
 
-def test_without_drake_the_import_says_what_to_install():
-    code = "import sys; sys.modules['pydrake'] = None; import drake_plant"
+@pytest.mark.parametrize("missing", ["pydrake", "scipy"])
+def test_without_drake_or_scipy_the_import_says_what_to_install(missing):
+    code = f"import sys; sys.modules[{missing!r}] = None; import drake_plant"
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert 'ImportError: drake_plant needs Drake: pip install "contact-system[dr' in told.stderr
+    assert "ImportError: drake_plant needs Drake and scipy: pip install" in told.stderr
 
 
 def test_importing_drake_plant_loads_fmpy_only_for_fmu_systems():

@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.integrate import OdeSolution, solve_ivp
 
 from ..checks import within
 from ..errors import ContactSystemError, SceneError
@@ -19,6 +18,11 @@ from ..scene import Scene, Start
 from ..system import SceneSystem, SystemMachine, without_chart
 from .explanation import singular_path
 from .motion import SHAPES
+
+try:
+    from scipy.integrate import OdeSolution, solve_ivp
+except ImportError as error:
+    raise ContactSystemError(f'method "chart" needs scipy: pip install scipy ({error})') from None
 
 PARTS, ROUNDS = 16, 10  # parts of a solver's step; rounds in which parts are divided again
 LEAST_COSINE = 0.7  # of the angle by which a frame turns in a part that is not divided
