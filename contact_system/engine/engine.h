@@ -10,6 +10,11 @@
 #include <stddef.h>
 #include <stdint.h>
 
+/* An infinite time is one that never comes, and a value that is no number is refused. */
+#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
+#error "the engine needs infinities and NaN: compile without -ffast-math or -Ofast"
+#endif
+
 enum { L = 16 }; /* lanes, computed together: the Gauss points of a panel, or 16 times */
 
 /* ---- tables: straight-line programs on registers of L lanes ---- */

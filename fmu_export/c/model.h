@@ -13,11 +13,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* An infinite time is one that never comes, and a value that is no number is refused. */
-#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
-#error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
-#endif
-
 #define DATA_VERSION 20261209
 
 typedef struct {
