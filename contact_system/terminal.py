@@ -53,7 +53,7 @@ class Progress:
 
     def __enter__(self) -> Progress:
         self.thread = threading.Thread(target=self._draw, daemon=True)
-        if self.stream.isatty():
+        if self.stream and self.stream.isatty():  # it is None if it was closed
             self.thread.start()
         return self
 

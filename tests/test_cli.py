@@ -235,12 +235,14 @@ def test_progress_is_drawn_on_a_terminal_only_and_only_when_it_takes_long(monkey
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows reports a closed pipe in other ways")
-def test_a_closed_stdout_is_no_error_and_the_files_are_written(tmp_path):
+def test_a_closed_stream_is_no_error_and_the_files_are_written(tmp_path):
     reads, writes = os.pipe()
     os.close(reads)
     command = [sys.executable, "-um", *"contact_system run K1 --no-plots --out".split(), tmp_path]
     ended = subprocess.run(command, stdout=writes, stderr=subprocess.PIPE)
     os.close(writes)
     assert (ended.returncode, ended.stderr, len([*tmp_path.iterdir()])) == (0, b"", 2)
-    ended = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *command], stderr=subprocess.PIPE)
-    assert (ended.returncode, ended.stderr) == (0, b"")  # nor is stdout that was never open
+    for closed in (">&-", "2>&-"):  # nor is a stream that was never open
+        shell = ["sh", "-c", f'exec "$@" {closed}', "sh", *command]
+        ended = subprocess.run(shell, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        assert (ended.returncode, ended.stderr) == (0, b"")
