@@ -127,6 +127,13 @@ def get_requires_for_build_wheel(config_settings=None):
 get_requires_for_build_editable = get_requires_for_build_wheel
 
 
+def build_wheel(*arguments, **options):
+    """A wheel without the files of an older version, which its build left in this folder."""
+    for folder in Path("build").glob("lib.*"):
+        shutil.rmtree(folder)
+    return build_meta.build_wheel(*arguments, **options)
+
+
 def run(*command: str) -> None:
     """Run a compiler and print its output; exit if it fails."""
     ran = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)

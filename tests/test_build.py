@@ -54,6 +54,17 @@ def test_pip_fetches_ziglang_only_where_there_is_no_c_compiler(tmp_path):
         assert path == os.environ["PATH"] or fetches == "True"
 
 
+def test_files_that_an_older_version_left_in_the_clone_get_into_no_wheel(tmp_path):
+    pytest.importorskip("setuptools", "77")
+    old = tmp_path / "build/lib.linux-x86_64-cpython-311/contact_system/scenes/old.toml"
+    old.parent.mkdir(parents=True)
+    old.touch()
+    build = "import os, sys; sys.path.insert(0, '.'); import setup; os.chdir(sys.argv[1])"
+    build += "; setup.build_meta.build_wheel = lambda *_: None; setup.build_wheel('dist')"
+    run_python("-c", build, tmp_path)
+    assert not old.exists()
+
+
 def test_generated_c_is_what_the_generator_makes_of_the_equations_now():
     for file, text in generate.generated().items():
         assert (generate.FOLDER / file).read_text() == text, f"{file}: {generate.__doc__}"
