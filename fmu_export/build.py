@@ -52,7 +52,7 @@ def library(target: str, name: str) -> bytes:
         )
     compiler = [sys.executable, "-m", "ziglang", "cc", "-target", row.target]
     linked = _WASM if row.suffix == ".wasm" else shared(row.suffix)
-    command = [*compiler, *FLAGS, "-DVARIANT=baseline", "-Wno-pass-failed", *linked]
+    command = [*compiler, *FLAGS, "-DVARIANT=baseline", *linked]
     command += [f"-I{ENGINE}", *map(str, UNITS)]
     with tempfile.TemporaryDirectory(prefix="contact-system-") as folder:
         # a Windows library contains its name, by which programs linked with it look for it
