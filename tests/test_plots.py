@@ -81,6 +81,16 @@ def test_slip_can_be_drawn_beside_another_law_with_a_jump_and_where_there_is_non
         assert 0.01 < _ink(image) < 0.6
 
 
+def test_without_slip_the_speed_of_each_contact_is_drawn_in_its_colour(tmp_path, pillow):
+    contacts = [cs.Contact(FINGER, (1.0, v), legs=[cs.Leg(0, v, 1)]) for v in (0.1, 0.2)]
+    plan = cs.plan(_scene(cs.Sphere(0.1)).replace(contacts=contacts))
+    plots.plot_slip(plan, tmp_path / "x.png", dpi=60)
+    with pillow.open(tmp_path / "x.png") as image:
+        drawn = np.asarray(image.convert("RGB"))[:, : image.width * 7 // 10]  # not the legend
+    for colour in plots.COLOURS[:2]:
+        assert (drawn == list(bytes.fromhex(colour[1:]))).all(axis=2).any()
+
+
 def test_names_and_descriptions_are_drawn_as_written_and_not_as_formulas(tmp_path):
     matplotlib = pytest.importorskip("matplotlib")
     words = [r"costs $\foo$ and $5", r"$\bar{x$", r"half \frac{ of $x$"]

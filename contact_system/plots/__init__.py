@@ -18,7 +18,7 @@ from ..errors import ContactSystemError
 from ..files import a_path, writing
 from ..measures import exact_slip, windows
 from ..plan import Plan, require_plan
-from ..scene import Scene, speed
+from ..scene import Scene
 from ..theory.gain import Gain
 from ..theory.profile import Profile
 from .bodies import draw_body
@@ -231,15 +231,20 @@ def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
     # slip by a rate offset jumps at an edge: also draw the slip just before
     t = np.unique(np.append(t, np.nextafter(t[np.isin(t, plan.scene.edges) & (t > plan.start)], 0)))
     slip = plan.slip_speed(t)
-    style: dict[str, Any] = {"dashes": (2.2, 1.1)} if dashed else {}
+    dashes: dict[str, Any] = {"dashes": (2.2, 1.1)} if dashed else {}
+    _draw_lines(ax, t, np.where(slip > 0, slip, np.nan), **dashes)
     for i in np.flatnonzero(slip.any(axis=0)).tolist():
-        # where lines coincide the lower ones are wider, so that each is visible
-        above = np.isclose(slip[:, i + 1 :], slip[:, i : i + 1], rtol=0.02).all(0).sum()
-        style |= {"color": colour_of(i), "linewidth": 1.8 + 1.7 * min(above, 3)}
-        line = np.where(slip[:, i] > 0, slip[:, i], np.nan)
-        ax.plot(t, line, solid_capstyle="butt", **style)
         ax.plot(*exact_slip(plan, i), markeredgewidth=0.9, zorder=5, **DOTS)
     return slip
+
+
+def _draw_lines(ax: Any, t: np.ndarray, values: np.ndarray, **style: Any) -> None:
+    """Draw a line for each contact through its values, (n, n_contacts)."""
+    for i, line in enumerate(values.T):
+        # where lines coincide the lower ones are wider, so that each is visible
+        same = np.isclose(values[:, i + 1 :], line[:, None], rtol=0.02, equal_nan=True)
+        width = 1.8 + 1.7 * min(same.all(axis=0).sum(), 3)
+        ax.plot(t, line, color=colour_of(i), linewidth=width, solid_capstyle="butt", **style)
 
 
 def shade_windows(ax: Any, plan: Plan) -> None:
@@ -257,8 +262,7 @@ def _draw_speed(ax: Any, plan: Plan) -> None:
     """Draw the speeds of the contact points, if there is no slip to draw."""
     t, scene = plan.sample_times(), plan.scene
     lengths = [math.hypot(*contact.start().finger_velocity) for contact in scene.contacts]
-    for way, length in {(scene.way(i), length) for i, length in enumerate(lengths)}:
-        ax.plot(t, length * speed(way, t), color=INK, linewidth=1.8)
+    _draw_lines(ax, t, np.array(lengths) * scene.speeds(t))
     ax.set_ylim(bottom=0.0)
     ax.set_ylabel("speed of the contact point [m/s]")
     ax.set_title("No slip at any contact" if any(lengths) else "Every contact rests")
