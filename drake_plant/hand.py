@@ -73,7 +73,7 @@ class Hand:
 
     def check(self, contacts: int) -> None:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
-        if self.joints not in FINGERS:
+        if self.joints not in [*FINGERS]:  # not the dict: a list has no hash
             raise SceneError(f"hand: joints = {self.joints!r}: give one of {[*FINGERS]}")
         if len(finite_numbers(self.base, "hand: base")) != 3:
             raise SceneError(f"hand: base = {self.base!r}: give three numbers, m")
