@@ -83,6 +83,8 @@ class Route:
         Sum of the lengths of all legs, along s, m.
     residual : float
         Greatest error at the goals: of places as a fraction of the bodies' sizes, of angles in rad.
+        It is that of a plan of tolerance 1e-14. With the default of 1e-12, a plan of many turns on
+        a slim torus was 2.5e-11 of the size off.
     tried : str
         How many legs and random starts the search took to find a first route.
     """
