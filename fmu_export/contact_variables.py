@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from contact_system.measures import REJECTED
 from contact_system.scene import SLOTS, Contact, Scene
 from contact_system.surfaces import Surface
 
@@ -172,7 +173,7 @@ class _Contact:
         for name, surface in self.bodies:
             text = f"Contact point in the {name}'s frame"
             points += self.rows(f"{name}.point", XYZ, METRE, text, nominal=surface.size)
-        recovery = "Time in which slip falls to a hundredth at its present rate; at most 1e6 s"
+        recovery = f"Time in which slip falls to {REJECTED:.0%} at its present rate; at most 1e6 s"
         condition = [
             *self.speeds("path.speed", (), "sigma, the speed of the contact along its path"),
             *self.rows("disturbance.active", (), NONE, "1 while an input or a window acts, else 0"),

@@ -9,7 +9,7 @@ in space, and are not stiff where the gain is large.
 Results are the states' derivatives; the nine numbers of charts, u1 v1 u1' v1' u2 v2 u2' v2' psi;
 slip (2), twist (6), the pose of the finger in the object's frame (rotation row by row, 9,
 position, 3), the contact point on finger and object (3 + 3); the length of the slip; sigma, 1 where
-a disturbance acts, and the time in which slip falls to a hundredth at its present rate, `NEVER`
+a disturbance acts, and the time in which slip falls to `REJECTED` at its present rate, `NEVER`
 where it does not.
 """
 
@@ -21,6 +21,7 @@ import numpy as np
 
 from contact_system.contact_equations import Form, contact_function
 from contact_system.contact_sensor import measured_contact
+from contact_system.measures import REJECTED
 from contact_system.scene import SLOTS
 from contact_system.surfaces import SINGULAR, TINY, Surface
 from contact_system.theory import symbols as ca
@@ -79,7 +80,7 @@ def _condition(law: Law, t: ca.SX, law_values: ca.SX, slip: ca.SX, w: ca.SX) -> 
     sigma = polynomial(profile, t)
     growth = ca.gradient(sigma, t) / ca.fmax(sigma, TINY)
     rate = law.rate(law_values[0], sigma, ca.fmax(0, growth)) - growth  # of contraction
-    recovery = ca.fmin(math.log(100) / ca.fmax(rate, 1e-9), NEVER)
+    recovery = ca.fmin(-math.log(REJECTED) / ca.fmax(rate, 1e-9), NEVER)
     return [ca.sqrt(ca.sumsqr(slip) + TINY), sigma, ca.sumsqr(w) > 0, recovery]
 
 
