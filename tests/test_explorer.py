@@ -102,6 +102,7 @@ def test_a_slider_value_without_a_valid_scene_is_refused_and_the_picture_stays(t
 def test_every_slider_gives_a_scene_or_an_error_at_its_ends_and_its_value(name):
     scene = cs.load_scene(name)
     assert any(slider.folder == "profile" for slider in sliders_of(scene)) == (name not in "H1 R1")
+    assert any(slider.label == "v on the finger" for slider in sliders_of(scene))
     for slider in sliders_of(scene):
         ends = [slider.made(x) for x in (slider.low, slider.value, slider.high)]
         assert slider.low <= slider.value <= slider.high and ends[0] != ends[2], slider.label

@@ -117,14 +117,15 @@ def _of_disturbances(scene: Scene) -> Iterator[Slider]:
 def _of_starts(scene: Scene) -> Iterator[Slider]:
     for i, contact in enumerate(scene.contacts):
         folder, place = f"start of {scene.contact_name(i)}", ("contacts", i)
-        for k, value in enumerate(contact.object_at):
-            span = closed_span(scene.object, k)
-            if span is None:
-                reach = 2 * scene.object.size / float(scene.object.lame(*contact.object_at)[k])
-                span = value - reach, value + reach
-            yield Slider(
-                folder, f"{'uv'[k]} on the object", *span, value, ((*place, "object_at", k),)
-            )
+        for side, body in (("object", scene.object), ("finger", contact.finger)):
+            at = getattr(contact, f"{side}_at")
+            for k, value in enumerate(at):
+                span = closed_span(body, k)
+                if span is None:
+                    reach = 2 * body.size / float(body.lame(*at)[k])
+                    span = value - reach, value + reach
+                label = f"{'uv'[k]} on the {side}"
+                yield Slider(folder, label, *span, value, ((*place, f"{side}_at", k),))
         turn = -math.pi, math.pi
         yield Slider(folder, "angle psi [rad]", *turn, contact.angle, ((*place, "angle"),))
         if not isinstance(contact.finger_velocity, str) and any(contact.finger_velocity):
