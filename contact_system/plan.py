@@ -333,8 +333,9 @@ class Plan:
         Parameters
         ----------
         t : float
-            s, with sigma(t) > 0. The path velocity is rates / sigma, so close to rest rounding of
-            the rates may turn the path; :meth:`continued` needs no rates and is exact there.
+            s, with sigma(t) > 0, except at contacts that rest to the end. The path velocity is
+            rates / sigma, so close to rest rounding of the rates may turn the path;
+            :meth:`continued` needs no rates and is exact there.
         state : (n_contacts, 9) or (1, n_contacts, 9)
             Measured u1 v1 u1' v1' u2 v2 u2' v2' psi, as ``states(t)`` gives them or in principal
             values. Where a chart covers its surface twice, they are moved to the plan's branch.

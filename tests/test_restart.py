@@ -70,6 +70,17 @@ def test_disturbances_act_alike_after_a_restart_from_the_other_cover_of_an_ellip
         assert again.points(t) == pytest.approx(plan.points(t), abs=1e-13)
 
 
+def test_a_contact_that_rests_to_the_end_restarts_at_its_measured_place():
+    scene = one_contact()
+    legs = [dataclasses.replace(scene.contacts[0], legs=[cs.Leg(0, s, 1.0)]) for s in (0.1, 0.0)]
+    plan = cs.plan(scene.replace(contacts=legs))
+    state = plan.states(0.5)[0]
+    state[1, [1, 8]] += 0.01
+    again = plan.restart(0.5, state)
+    assert again.states(1.0)[0, 1] == pytest.approx(state[1], abs=1e-15)
+    assert again.states(1.0)[0, 0] == pytest.approx(plan.states(1.0)[0, 0], abs=1e-12)
+
+
 def test_a_restarted_plan_has_no_results_before_its_start():
     plan = cs.plan(one_contact())
     again = plan.restart(0.5, plan.states(0.5)[0])

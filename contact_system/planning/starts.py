@@ -11,6 +11,7 @@ import numpy as np
 from ..checks import naming
 from ..errors import SceneError
 from ..scene import Scene, Start, speed
+from ..scene.legs import length
 from ..surfaces import Surface
 
 
@@ -49,16 +50,18 @@ def measured_start(
     """The start of a contact from its measured state at time t.
 
     row (9): u1 v1 u1' v1' u2 v2 u2' v2' psi, with the object's rate offset, ``offset`` (2), in u2'
-    and v2'. Refuses NaN, sigma = 0, a pole, and coordinates outside the chart.
+    and v2'. Of a contact that rests to the end the rates are not used. Refuses NaN, sigma = 0 of
+    others, a pole, and coordinates outside the chart.
     """
     where = f"{scene.title}, restart at t = {t:g} s, {scene.contact_title(index)}"
-    sigma = float(speed(scene.way(index), t))
+    contact, way = scene.contacts[index], scene.way(index)
+    sigma, rests = float(speed(way, t)), length(way, scene.duration) == length(way, t)
     if not np.isfinite(row).all():
         raise SceneError(
             f"{where}: the measured state has {row[~np.isfinite(row)][0]}; leave such a "
             "measurement out"
         )
-    if not 0 < sigma < math.inf:
+    if not (0 < sigma < math.inf or rests):
         raise SceneError(
             f"{where}: sigma = {sigma:g} there, so rates do not determine path velocities; restart "
             "where sigma > 0"
@@ -66,12 +69,13 @@ def measured_start(
     velocities = []
     transported = row[4:8] - [0.0, 0.0, *offset]
     for side, surface, (u, v, *rates) in (
-        ("finger", scene.contacts[index].finger, row[:4]),
+        ("finger", contact.finger, row[:4]),
         ("object", scene.object, transported),
     ):
         require_place(surface, u, v, f"{where}, {side}")
-        velocities.append(tuple(surface.metric_root(u, v) @ rates / sigma))
-    return Start(tuple(row[0:2]), tuple(row[4:6]), float(row[8]), velocities[0], velocities[1])
+        velocities.append(surface.metric_root(u, v) @ rates)
+    w1, w2 = contact.start()[3:] if rests else (tuple(w / sigma) for w in velocities)
+    return Start(tuple(row[0:2]), tuple(row[4:6]), float(row[8]), w1, w2)
 
 
 def on_branch(scene: Scene, measured: np.ndarray, planned: np.ndarray) -> np.ndarray:
