@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import TURN, turned_quadric
 from oracles.load import load, surface_of
 from scipy.special import ellipe
 
@@ -80,11 +81,13 @@ def test_ellipsoids_of_revolution_agree_with_geographiclib(f):
 
 
 def test_a_turned_quadric_has_the_geodesics_of_its_ellipsoid():
-    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
-    quadric = cs.Quadric(turn @ np.diag([0.3**-2, 0.2**-2, 0.1**-2]) @ turn.T)
-    a, b = (ELLIPSOID.point(*w.T) for w in pairs(ELLIPSOID, 30))
-    known = cs.geodesic(ELLIPSOID, a, b).length
-    assert cs.geodesic(quadric, a @ turn.T, b @ turn.T).length == pytest.approx(known, rel=1e-12)
+    needle = cs.Ellipsoid(0.1, 0.00845, 0.0021)
+    along = np.array([[-0.4333, -0.0517], [-3.0774, 0.0018]])
+    for body, (a, b) in (ELLIPSOID, pairs(ELLIPSOID, 30)), (needle, along):
+        known = cs.geodesic(body, a, b).length
+        a, b = (body.point(*w.T) @ TURN.T for w in (a, b))
+        line = cs.geodesic(turned_quadric(body.a**-2, body.b**-2, body.c**-2), a, b)
+        assert line.length == pytest.approx(known, rel=1e-12)
 
 
 def test_geodesics_on_sphere_plane_and_cylinder_have_their_closed_forms():

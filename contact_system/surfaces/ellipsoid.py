@@ -218,7 +218,7 @@ class Ellipsoid(OfLengths):
 
     @property
     def least_radius(self) -> float:
-        return max(self.c**2 / self.a, self.c / 3)
+        return least_radius(self.a, self.c)
 
     @property
     def injectivity(self) -> float:
@@ -238,6 +238,11 @@ def second_degree(values: ca.SX, axes: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX, c
     along = axes.T @ x
     slopes = values * along
     return (ca.dot(along, slopes) - 1) / 2, axes @ slopes, axes @ ca.diag(values) @ axes.T
+
+
+def least_radius(a: float, c: float) -> float:
+    """Return `Surface.least_radius` for the greatest and the least semi-axis."""
+    return max(c**2 / a, c / 3)
 
 
 def require_thick(kind: str, a: float, c: float) -> None:

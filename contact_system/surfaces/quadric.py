@@ -15,7 +15,7 @@ from ..theory import symbols as ca
 from .base import Surface, store
 from .charts import TURN, Chart, Pair
 from .cylinder import RoundCylinderChart
-from .ellipsoid import ellipsoid_chart, require_thick, second_degree
+from .ellipsoid import ellipsoid_chart, least_radius, require_thick, second_degree
 from .plane import FlatChart
 
 Floats = tuple[float, ...]
@@ -167,7 +167,9 @@ class Quadric(Surface):
 
     @property
     def least_radius(self) -> float:
-        return min(self._principal[1])
+        _, lengths, values, _ = self._principal
+        short = min(lengths)
+        return least_radius(max(lengths), short) if min(values) > 0 else short
 
     @property
     def injectivity(self) -> float:
