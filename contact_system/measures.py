@@ -189,6 +189,7 @@ def _crossing(plan: Plan, contact: int, times: list[float], level: float) -> flo
 # --- many contacts at once ----------------------------------------------------------------------
 
 SAMPLES = 100  # times at which `summary` evaluates slip
+EARLY = np.geomspace(1e-6, 1e-2, 25)  # more of them: slip from rest may be over before the second
 
 
 def summary(plan: Plan) -> dict[str, np.ndarray]:
@@ -202,9 +203,9 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
     -------
     dict
         ``slip_start``, ``slip_peak``, ``slip_end`` : (n_contacts,), m/s; the peak is the greatest
-        at 100 equally spaced times and at the ends of disturbances. ``recovery`` : (n_contacts,),
-        s, as `Rejection.time`, but interpolated between those times; inf if slip does not stay
-        below 5 %, nan if there is none.
+        at 100 equally spaced times, at some soon after the start and at the ends of disturbances.
+        ``recovery`` : (n_contacts,), s, as `Rejection.time`, but interpolated between those times;
+        inf if slip does not stay below 5 %, nan if there is none at those times.
         ``state_end`` : (n_contacts, 9), as :meth:`Plan.states`; for a contact that ends at a pole,
         the state 1e-8 of the horizon earlier.
 
@@ -216,7 +217,8 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
     require_plan(plan)
     stops = np.array([d.stop for d in plan.scene.disturbances if d.stop > plan.start])
     grid = np.linspace(plan.start, plan.end, SAMPLES)
-    t = np.unique(np.concatenate([grid, stops, np.nextafter(stops, plan.start)]))
+    early = plan.start + (plan.end - plan.start) * EARLY
+    t = np.unique(np.concatenate([grid, early, stops, np.nextafter(stops, plan.start)]))
     slip = plan.slip_speed(t)
     since, level, last = _last_slip(plan, t, slip)
     each, k = np.arange(slip.shape[1]), np.clip(last, 0, len(t) - 2)

@@ -111,10 +111,13 @@ def test_recovery_is_inf_where_slip_stays_and_nan_where_there_was_none():
     none = rolling_towards(1, object_velocity="rolling")
     pushed = rolling_towards(2, object_velocity="rolling", disturbances=[BUMP], gain=fast)
     offset = rolling_towards(3, object_velocity="rolling", disturbances=[OFFSET])
-    table = cs.sweep([stays, none, pushed, offset]).table
+    brief = rolling_towards(4, profile=(0.0, 0.1), gain=cs.Gain.time(5000.0))  # slip for 2 ms
+    table = cs.sweep([stays, none, pushed, offset, brief]).table
     assert table["recovery"][0] == math.inf and math.isnan(table["recovery"][1])
-    exact = cs.rejections(cs.plan(pushed))[0]
-    assert table["recovery"][2] == pytest.approx(exact.time, rel=0.02)
+    for row, scene in (2, pushed), (4, brief):
+        exact = cs.rejections(cs.plan(scene))[0]
+        assert table["slip_peak"][row] == pytest.approx(exact.peak, rel=0.02)
+        assert table["recovery"][row] == pytest.approx(exact.time, rel=0.02)
     assert table["recovery"][3] == 0.0  # an offset's slip ends with it
 
 
