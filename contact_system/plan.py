@@ -43,10 +43,10 @@ def plan(
         Bound on the error of contact points, as a fraction of the body's ``size``, 1e-15 to 1e-1.
         It holds for paths a few sizes long. On longer paths errors grow as neighbouring paths
         diverge: to tens or hundreds of tolerances over hundreds of sizes, or where accelerations
-        drive a contact around many times; on a rounded cube, whose geodesics are chaotic, until few
-        digits are left after 300 sizes. Below 1e-12, and many sizes away from the origin, rounding
-        may dominate. With ``method="chart"`` it is the solver's tolerance for each step, and no
-        bound.
+        drive a contact around many times; from 1e-3 rad beside an umbilic to thousands over 100
+        sizes; on a rounded cube, whose geodesics are chaotic, until few digits are left after 300
+        sizes. Below 1e-12, and many sizes away from the origin, rounding may dominate. With
+        ``method="chart"`` it is the solver's tolerance for each step, and no bound.
     method : str
         "auto": the cheapest exact method for each contact and interval (theory sections 4 to 7).
         "chart": the paper's equations (eqs. `timegeodesic`, `contrac`), errata corrected, by a
