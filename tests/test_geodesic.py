@@ -179,7 +179,7 @@ def test_the_shortest_line_is_found_where_neighbouring_lines_diverge_fast(slim, 
     assert there.length <= cs.geodesic(slim, [a, way], [way, b]).length.sum()
 
 
-def test_a_line_over_the_rim_of_a_disc_is_the_shortest_and_as_long_as_back():
+def test_lines_over_the_rim_of_a_disc_and_along_a_needle_are_the_shortest_both_ways():
     places = np.array([(0.7, -0.3), (3.0, 1.3)])
     x, y = np.cos(places[:, 1]) * np.exp(1j * places[:, 0])
     rim = np.exp(1j * np.linspace(0.0, 2 * math.pi, 10000))
@@ -187,9 +187,11 @@ def test_a_line_over_the_rim_of_a_disc_is_the_shortest_and_as_long_as_back():
     line = cs.geodesic(cs.Ellipsoid(1.0, 1.0, 1e-3), *places)
     assert line.length == pytest.approx(shortest, abs=1e-3)
     disk = cs.Ellipsoid(0.1, 0.07, 0.0003)
-    a, b = (disk.coordinates(x) for x in ([0.0533, -0.0011, -0.0003], [-0.0696, -0.0502, 7e-6]))
-    there, back = cs.geodesic(disk, a, b).length, cs.geodesic(disk, b, a).length
-    assert there == pytest.approx(back, rel=1e-9) and there < 0.14
+    ends = [disk.coordinates(x) for x in ([0.0533, -0.0011, -0.0003], [-0.0696, -0.0502, 7e-6])]
+    needle, tips = cs.Ellipsoid(0.1, 0.0084, 0.0021), ((-0.433, -0.052), (-3.077, 0.002))
+    for body, (a, b), bound in (disk, ends, 0.14), (needle, tips, 0.19075):
+        there, back = cs.geodesic(body, a, b).length, cs.geodesic(body, b, a).length
+        assert there == pytest.approx(back, rel=1e-9) and there < bound
 
 
 def test_geodesics_of_arrays_of_points_have_their_broadcast_shape():
