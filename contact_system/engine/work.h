@@ -1,4 +1,8 @@
-/* The data of a plan, and the working memory of one call. */
+/* The data of a plan, and the working memory of one call.
+
+   The horizon of a contact is cut more and more finely. A leg has one sigma; a drive also one form
+   of the gain; a segment also the same disturbances. A track is a body's motion on one or more
+   segments, and panels are the pieces of a track that is integrated. */
 
 typedef struct work work_t;
 

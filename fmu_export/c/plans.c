@@ -156,13 +156,12 @@ static status_t refuse_motion(component_t *c, status_t status, long i, double t,
   if (!why && f->code == STUCK && !f->by_length && f->t > 0)
     snprintf(where, sizeof where, ", at t = %.9g s", f->t);
   if (!why)
-    why = f->code == NO_MEMORY            ? "there is no memory"
-          : f->code == TOO_LONG           ? "the path is so long that rounding would leave less "
-                                            "than four digits of its position; make shorter steps"
-          : f->pushed && f->value <= 1e-5 ? AT_REST
+    why = f->code == NO_MEMORY  ? "there is no memory"
+          : f->code == TOO_LONG ? "the path is so long that rounding would leave less "
+                                  "than four digits of its position; make shorter steps"
+          : f->pushed && f->value <= ALMOST_RESTS ? AT_REST
           : f->code == TOO_MANY_PANELS
-              ? "a step is too long, it would take more than 20000 pieces of motion; make shorter "
-                "steps"
+              ? "a step is too long, it would take too many pieces of motion; make shorter steps"
               : "the path reaches a singular point of its chart or its surface, or moves too fast "
                 "for double precision; set smaller inputs, end before or start elsewhere";
   return report(c, status, "contact[%ld]%s: no %s t = %.17g s%s: %s", i + 1, side, what, t, where,
