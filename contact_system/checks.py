@@ -17,6 +17,7 @@ from .errors import ContactSystemError, SceneError
 
 Array = NDArray[np.float64]
 FLOAT = np.dtype(float)
+ROUNDING = 1e-11  # relative error of a time that is the sum of a hundred thousand time steps
 LARGEST = 1e100  # beyond this sigma^3 overflows
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import finite_number, of_kind, one_of, shaped_array, whole_number
+from .checks import ROUNDING, finite_number, of_kind, one_of, shaped_array, whole_number
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .files import a_path, opened, writing
 from .planning.motion import SHAPES, Motion
@@ -24,7 +24,6 @@ from .scene import Scene, acting, require_scene
 
 METHODS = ("auto", "chart")
 SOLVERS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
-ROUNDING = 1e-11  # relative error of a time that is the sum of a hundred thousand time steps
 
 
 def plan(

@@ -178,8 +178,8 @@ def test_a_disturbance_of_all_is_one_for_each_contact():
     assert [d.contact for d in scene.disturbances] == [0, 1]
 
 
-def test_edges_are_the_sorted_window_edges_and_the_ends_of_the_horizon():
-    windows = [(0, 0.5), (0.25, 0.5), (1.0, 2.0), (0.25, 0.75)]
+def test_edges_are_the_sorted_window_edges_and_the_ends_of_the_horizon_but_for_rounding():
+    windows = [(0, 0.5), (0.25, 0.5), (1.0, 2.0 + 1e-13), (0.25, 0.75)]
     scene = small_scene(disturbances=[ObjectRateOffset(0, *w, (1, 0)) for w in windows])
     assert scene.edges == (0, 0.25, 0.5, 0.75, 1, 2)
     assert small_scene().edges == (0, 2)
@@ -246,8 +246,9 @@ FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(
             ["object_velocity = 'roling'", '"rolling" or "rest"'],
         ),
         (contact_with(finger_velocity="rolling"), ['"rolling"', "object_velocity as two numbers"]),
-        (scene_with_window(1, 1), ["start = 1, stop = 1", "exchange"]),
-        (scene_with_window(-0.5, 1), ["disturbances[0]", "start = -0.5", "[0, 2] s"]),
+        (scene_with_window(1, 1), ["start = 1.0, stop = 1.0", "exchange"]),
+        (scene_with_window(-0.5, 1), ["disturbances[0]", "start = -0.5", "[0, 2.0] s"]),
+        (scene_with_window(0, 2.0000001), ["stop = 2.0000001: the window is not inside"]),
         (scene_with_window(0, 1, contact=2), ["contact = 2", "2 contacts", "0 to 1"]),
         (scene_with_window(0, 1, contact="every"), ["contact = 'every'", '"all"']),
         (

@@ -67,7 +67,7 @@ class Disturbance:
         put(self, "value", pair(self.value, "value"))
         if not self.start < self.stop:
             raise SceneError(
-                f"start = {self.start:g}, stop = {self.stop:g}: a window must stop after it "
+                f"start = {self.start}, stop = {self.stop}: a window must stop after it "
                 "starts; exchange them or make it longer"
             )
 

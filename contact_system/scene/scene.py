@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import a_text, all_of, finite_number, known_keys, naming, of_kind, within
+from ..checks import ROUNDING, a_text, all_of, finite_number, known_keys, naming, of_kind, within
 from ..errors import ContactSystemError, SceneError
 from ..surfaces import Surface
 from ..theory.gain import Contraction, Gain, contraction
@@ -237,12 +237,15 @@ class Scene:
         put(self, "disturbances", tuple(expanded))
 
     def _on_contacts(self, disturbance: Disturbance) -> list[Disturbance]:
-        """The disturbance, checked against the scene, once for each contact it acts on."""
-        d = disturbance
-        if d.start < 0 or d.stop > self.duration:
+        """The disturbance, checked against the scene, once for each contact it acts on.
+
+        A window that ends after the horizon by rounding ends with it.
+        """
+        d, stop = disturbance, min(disturbance.stop, self.duration)
+        if not 0 <= d.start < stop or d.stop - stop > ROUNDING * stop:
             raise SceneError(
-                f"start = {d.start:g}, stop = {d.stop:g}: the window is not inside the horizon "
-                f"[0, {self.duration:g}] s; move it or change the duration"
+                f"start = {d.start}, stop = {d.stop}: the window is not inside the horizon "
+                f"[0, {self.duration}] s; move it or change the duration"
             )
         if isinstance(d.contact, str):
             indices = [*range(len(self.contacts))]
@@ -256,7 +259,10 @@ class Scene:
                     "cannot be disturbed; give finger_velocity as two numbers, or leave the "
                     "disturbance out"
                 )
-        return [d if d.contact == i else dataclasses.replace(d, contact=i) for i in indices]
+        return [
+            d if (d.contact, d.stop) == (i, stop) else dataclasses.replace(d, contact=i, stop=stop)
+            for i in indices
+        ]
 
     def _place_contacts(self) -> None:
         """Bring every contact's coordinates into the charts' regular range."""
