@@ -3,8 +3,8 @@
 Raise a limit if you trust a file or know what you plan: ``contact_system.limits.PANELS = 5e6``.
 """
 
-SCENE_BYTES = 1e6
-"""Size of a scene's TOML text."""
+SCENE_BYTES = 2e6
+"""Size of a scene's TOML text; a disturbance takes about 150."""
 NESTING = 32
 """Dots of a key in a scene file."""
 FORMULA_LENGTH = 10_000
