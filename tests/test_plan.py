@@ -154,12 +154,15 @@ def test_explain_names_scene_tolerance_intervals_and_causes():
     assert "rolling is imposed; integrated" in cs.plan(cs.load_scene("C2"), compiled=True).explain()
 
 
-def test_explain_tells_of_rate_offsets_and_of_rests():
+def test_explain_tells_of_rate_offsets_of_rests_and_of_many_windows_in_one_line():
     offset = cs.ObjectRateOffset(0, 0.2, 0.4, (0.1, 0.3))
     scene = one_contact("cylinder", object_velocity="rolling", disturbances=[offset])
     assert "(object rate offset)" in cs.plan(scene).explain()
     scene = one_contact("ellipsoid", legs=[cs.Leg(0.3, 0.05, 0.5)])
     assert "(the contact rests)" in cs.plan(scene).explain()
+    many = [cs.FingerAcceleration(0, k / 100, (k + 1) / 100, (0.1, 0.0)) for k in range(100)]
+    text = cs.plan(one_contact(disturbances=many)).explain()
+    assert "finger [0, 1] s  forced development, 100 panels  (finger acceleration)" in text
     pytest.raises(cs.SceneError, scene.contraction).match("all have legs")
 
 

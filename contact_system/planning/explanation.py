@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 
 from .. import limits
 from ..engine.binding import Fact, Failure
 from ..errors import ChartSingularity, ContactSystemError, SceneError, SurfaceError
-from ..scene import DISTURBANCE_KINDS, SIDES, STILL, Scene
+from ..scene import DISTURBANCE_KINDS, SIDES, STILL, Disturbance, Scene
 from ..surfaces import ImplicitSurface, Surface
 
 ALMOST_RESTS = 1e-5  # of the greatest coefficient of sigma
@@ -19,6 +23,9 @@ STUCK, TOO_MANY_PANELS, TOO_LONG, SINGULAR_CHART, SINGULAR_TIME, OUTSIDE = range
 CIRCLE, LINE, PANELS = range(3)
 UNPUSHED, NO_SLIP, SLIP_LEFT, SLIPS, OFFSET = range(5)
 OFFSET_AND_SLIP, PUSHED, NEGLIGIBLE, FOLLOWING = range(5, 9)
+
+
+Windows = dict[type[Disturbance], Any]  # start and stop of a contact's disturbances of each kind, s
 
 
 # --- how a plan was made -------------------------------------------------------------------------
@@ -38,28 +45,34 @@ def lines(scene: Scene, facts: Sequence[Sequence[Fact]]) -> list[str]:
 def _of_contact(scene: Scene, contact: int, facts: Sequence[Fact]) -> list[str]:
     last = scene.way(contact)[-1]
     rest = last.start if last.profile == STILL else math.inf
-    result = [
-        f"  {SIDES[f.side]:6s} [{f.start:.6g}, {f.stop:.6g}] s  {_method(f)}"
-        f"  ({_reason(scene, contact, rest, f)})"
-        for f in facts
-    ]
+    windows = _windows(scene, contact)
+
+    def words(f: Fact) -> tuple[str, str, str]:
+        return SIDES[f.side], _method(f), _reason(windows, rest, f)
+
+    result = []
+    for (side, method, reason), run in itertools.groupby(facts, words):
+        alike = list(run)
+        panels = sum(f.panels for f in alike)
+        count = f", {panels} panel{'s' * (panels > 1)}" * (panels > 0)
+        interval = f"[{alike[0].start:.6g}, {alike[-1].stop:.6g}] s"
+        result.append(f"  {side:6s} {interval}  {method}{count}  ({reason})")
     return result + [f"  skipped: {text}" for text in _skipped(facts)]
 
 
 def _method(f: Fact) -> str:
     place = "space" if f.in_space else "its chart"
-    panels = f"{f.panels} panel{'s' * (f.panels > 1)}"
     if f.kind == CIRCLE:
         return "closed form: great circle"
     if f.kind == LINE and f.panels:
-        return f"quadrature of slip, {panels}"
+        return "quadrature of slip"
     if f.kind == LINE:
         return "closed form: straight line on the developed surface"
     if f.reason == PUSHED:
-        return f"forced development, {panels}"
+        return "forced development"
     if f.by_length:
-        return f"geodesic in arc length, in {place}, {panels}"
-    return f"development in {place}, {panels}"
+        return f"geodesic in arc length, in {place}"
+    return f"development in {place}"
 
 
 _SLIP = {SLIP_LEFT, SLIPS, OFFSET_AND_SLIP, PUSHED, NEGLIGIBLE}
@@ -74,14 +87,14 @@ _REASONS = {
 }
 
 
-def _reason(scene: Scene, contact: int, rest: float, f: Fact) -> str:
+def _reason(windows: Windows, rest: float, f: Fact) -> str:
     """Why; rest: when the contact begins to rest after its legs, s."""
     if f.reason == PUSHED:
-        return _disturbances(scene, contact, f)
+        return _disturbances(windows, f)
     if f.reason in (SLIPS, NEGLIGIBLE) and f.start >= rest:
         return "the contact rests"
     if f.reason in (OFFSET, OFFSET_AND_SLIP):
-        why = _disturbances(scene, contact, f) + ", slip" * (f.reason == OFFSET_AND_SLIP)
+        why = _disturbances(windows, f) + ", slip" * (f.reason == OFFSET_AND_SLIP)
     else:
         why = _REASONS[f.reason]
     if f.kind == LINE and f.reason in (SLIPS, OFFSET_AND_SLIP):
@@ -93,19 +106,25 @@ def _reason(scene: Scene, contact: int, rest: float, f: Fact) -> str:
     return why
 
 
-def _disturbances(scene: Scene, contact: int, f: Fact) -> str:
+def _windows(scene: Scene, contact: int) -> Windows:
+    found: Windows = {kind: [] for kind in DISTURBANCE_KINDS}
+    for d in scene.disturbances:
+        if d.contact == contact and any(d.value):
+            found[type(d)].append((d.start, d.stop))
+    return {kind: np.reshape(spans, (-1, 2)) for kind, spans in found.items()}
+
+
+def _disturbances(windows: Windows, f: Fact) -> str:
     """The kinds of disturbances that change a body's path, in the order of `DISTURBANCE_KINDS`.
 
     Those of the finger change the object's path too.
     """
-    acting = {
-        type(d)
-        for d in scene.disturbances
-        if d.contact == contact and d.start <= f.start < d.stop and any(d.value)
-    }
-    if SIDES[f.side] == "finger":
-        acting = {kind for kind in acting if kind.side == "finger"}
-    return " and ".join(kind.kind for kind in DISTURBANCE_KINDS if kind in acting)
+    return " and ".join(
+        kind.kind
+        for kind, spans in windows.items()
+        if SIDES[f.side] in (kind.side, "object")
+        and ((spans[:, 0] <= f.start) & (f.start < spans[:, 1])).any()
+    )
 
 
 def _skipped(facts: Sequence[Fact]) -> list[str]:
