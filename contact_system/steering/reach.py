@@ -59,8 +59,9 @@ def reach(
     Parameters
     ----------
     scene : Scene
-        The contacts' starts, with or without slip. Legs divide its duration equally. A contact that
-        rests is given the ``finger_velocity`` (1, 0), from which their directions are measured.
+        The contacts' starts, with or without slip. Legs divide its duration equally, and replace
+        its profile and the legs that it has. A contact that rests is given the ``finger_velocity``
+        (1, 0), from which their directions are measured.
     goal : Goal, or a sequence of Goal or None
         One for each contact; None: it stays at rest.
     legs : int, optional
