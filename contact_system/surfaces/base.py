@@ -243,7 +243,7 @@ class Surface:
         return point, frame
 
     def normal(self, u: ArrayLike, v: ArrayLike) -> Array:
-        """Return the unit normal out of the body, shape (..., 3)."""
+        """Return the unit normal out of the body, shape (..., 3); NaN where `frame` is."""
         return self.frame(u, v)[..., 2]
 
     def lame(self, u: ArrayLike, v: ArrayLike) -> Array:
