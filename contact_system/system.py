@@ -232,6 +232,27 @@ class SceneSystem:
                 self._functions[outputs] = made
         return self._functions[outputs]
 
+    def jacobian(self, output: str) -> ca.Function:
+        """The CasADi function (t, x, w, held, p) -> an output of :meth:`function` and its slopes.
+
+        The slopes are its partial derivatives, a column each, by t, x, w and held.
+
+        Raises
+        ------
+        SceneError
+            An unknown output.
+        """
+        key = ("jacobian", output)
+        with making_symbols():
+            value = self._expression(output)
+            if key not in self._functions:
+                inputs = list(self._symbols.values())
+                slopes = ca.jacobian(value, ca.vertcat(*inputs[:-1]))
+                dense = [ca.densify(x) for x in ca.cse([value, slopes])]
+                name, outputs = f"scene_{output}_slopes", [output, "slopes"]
+                self._functions[key] = ca.Function(name, inputs, dense, list(INPUTS), outputs)
+        return self._functions[key]
+
     def _expression(self, output: str) -> ca.SX:
         with making_symbols():
             known = self._expressions

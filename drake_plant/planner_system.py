@@ -30,7 +30,7 @@ from .plan_check import (
     refuse_singularity,
 )
 from .planner_base import EARLY, FOREVER, PORTS, PlannerBase, scene_system
-from .scalars import evaluate_scalars, select
+from .scalars import evaluate_derivatives, evaluate_symbols, select
 from .tables import Scratch, per_thread
 
 NEARBY = 10 * CLEARANCE
@@ -418,7 +418,9 @@ def _scalar_planner(T: type) -> type:
             system, (x, held) = self.system, self._StateAndHeld(context)
             w = self._Acting(context, *outputs)
             arguments = [[context.get_time()], x, w, held, system.parameters]
-            return [evaluate_scalars(system.function(name), arguments, T) for name in outputs]
+            if T is Expression:
+                return [evaluate_symbols(system.function(name), arguments) for name in outputs]
+            return [evaluate_derivatives(system.jacobian(name), arguments) for name in outputs]
 
     ScalarPlanner.__name__ = ScalarPlanner.__qualname__ = f"ContactPlanner_[{T.__name__}]"
     return ScalarPlanner

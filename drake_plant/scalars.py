@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pydrake.math as drake_math
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.symbolic import Expression, Formula, if_then_else
 
 from contact_system.theory import symbols as ca
@@ -19,12 +20,6 @@ def select(condition: Any, value: Any, otherwise: Any) -> Any:
     if isinstance(condition, Formula):
         return if_then_else(condition, Expression(0.0) + value, Expression(0.0) + otherwise)
     return value if condition else otherwise
-
-
-def _power(base: Any, exponent: Any) -> Any:
-    if isinstance(exponent, (float, Expression)):
-        return drake_math.pow(base, exponent)
-    return drake_math.exp(exponent * drake_math.log(base))
 
 
 def _truncated(a: Any) -> Any:
@@ -46,8 +41,8 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {  # all operations of tables
     ca.OP_SQ: lambda a: a * a,
     ca.OP_TWICE: lambda a: 2.0 * a,
     ca.OP_INV: lambda a: 1.0 / a,
-    ca.OP_POW: _power,
-    ca.OP_CONSTPOW: _power,
+    ca.OP_POW: drake_math.pow,
+    ca.OP_CONSTPOW: drake_math.pow,
     ca.OP_HYPOT: lambda a, b: drake_math.sqrt(a * a + b * b),
     ca.OP_ASINH: lambda a: drake_math.log(a + drake_math.sqrt(a * a + 1.0)),
     ca.OP_ACOSH: lambda a: drake_math.log(a + drake_math.sqrt(a * a - 1.0)),
@@ -69,7 +64,18 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {  # all operations of tables
 }
 
 
-def evaluate_scalars(function: ca.Function, arguments: Sequence[Any], T: type) -> np.ndarray:
-    """The first output of a CasADi function as AutoDiffXd or Expression: (n,), of type T."""
+def evaluate_symbols(function: ca.Function, arguments: Sequence[Any]) -> np.ndarray:
+    """The first output of a CasADi function as Expressions, (n,)."""
     (values, *_) = replay(function, arguments, lambda op, x: _OPERATIONS[op](*x))
-    return np.array([v if isinstance(v, T) else T(v) for v in values])
+    return np.array([v if isinstance(v, Expression) else Expression(v) for v in values])
+
+
+def evaluate_derivatives(jacobian: ca.Function, arguments: Sequence[Any]) -> np.ndarray:
+    """An output of `SceneSystem` as AutoDiffXd, (n,), by its `jacobian`."""
+    *varied, parameters = arguments
+    numbers = [v if isinstance(v, AutoDiffXd) else AutoDiffXd(v) for part in varied for v in part]
+    values, along = ExtractValue(numbers).ravel(), ExtractGradient(numbers)
+    parts = np.split(values, np.cumsum([len(part) for part in varied])[:-1])
+    value, slopes = (np.array(found) for found in jacobian(*parts, parameters))
+    moved = along.any(axis=1)  # others may have an infinite slope
+    return InitializeAutoDiff(value, slopes[:, moved] @ along[moved]).ravel()
