@@ -37,7 +37,7 @@ try:
     import viser
 except ImportError as error:
     raise ContactSystemError(
-        f'the explorer needs viser: pip install "contact-system[explore]" ({error})'
+        f'the explorer needs viser: pip install ".[explore]" in the clone ({error})'
     ) from None
 
 HOST = "127.0.0.1"  # this machine only, as the page can write files
