@@ -11,9 +11,8 @@ import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.tree import SpatialInertia
-from pydrake.polynomial import Polynomial
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.trajectories import PiecewisePolynomial, PiecewisePose
+from pydrake.trajectories import BezierCurve, PiecewisePose
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
@@ -48,10 +47,7 @@ class ShortestPath:
         self._made_from = X_WO_goal, start, stop
         self._way = PiecewisePose.MakeLinear([0.0, 1.0], [RigidTransform(), X_WO_goal])
         self._twist = self._way.GetVelocity(0.5)
-        T = stop - start
-        quintic = Polynomial([0, 0, 0, 10 / T**3, -15 / T**4, 6 / T**5])
-        part = PiecewisePolynomial([np.array([[quintic]])], [start, stop])  # of the way: 0 to 1
-        self._part, self._rate, self._change = (part.derivative(k) for k in range(3))
+        self._part = part = BezierCurve(start, stop, [[0, 0, 0, 1, 1, 1]])  # of the way, a quintic
         self.start_time, self.end_time = part.start_time, part.end_time
 
     def __reduce__(self) -> tuple:
@@ -61,10 +57,10 @@ class ShortestPath:
         return self._way.GetPose(self._part.value(t).item())
 
     def GetVelocity(self, t: float) -> Array:
-        return self._rate.value(t).item() * self._twist
+        return self._part.EvalDerivative(t, 1).item() * self._twist
 
     def GetAcceleration(self, t: float) -> Array:
-        return self._change.value(t).item() * self._twist
+        return self._part.EvalDerivative(t, 2).item() * self._twist
 
 
 @dataclass(frozen=True, eq=False, repr=False)
