@@ -244,10 +244,8 @@ def _views(result: SimulationResult, middle: Array, times: Array) -> Iterator[Ri
         i, *_ = min(fingers, key=lambda event: max(event[1] - t, t - event[2], 0.0))
         now = turn.apply(X_WO[:3, :3] @ normal[i])
         if np.isfinite(now).all():
-            axis = np.cross(now, ASIDE)
-            sine = float(np.linalg.norm(axis))
-            angle = min(math.atan2(sine, now @ ASIDE), most)
-            turn, most = Rotation.from_rotvec(axis * angle / max(sine, 1e-12)) * turn, TURN
+            more, _ = Rotation.align_vectors(ASIDE, now)
+            turn, most = more ** (most / max(more.magnitude(), most)) * turn, TURN
         place = X_WO[:3, 3] + X_WO[:3, :3] @ middle
         yield RigidTransform(RotationMatrix(turn.as_matrix()), -turn.apply(place))
 
