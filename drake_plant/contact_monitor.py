@@ -211,10 +211,7 @@ class ContactMonitor(LeafSystem):
         return self._pairs.get((first.get_value(), second.get_value()), (None, False))
 
     def _CalcMeasured(self, context: Context) -> Array:
-        results, gauges = self._results.Eval(context), self._gauges()
-        X_W, V_W = self._poses.Eval(context), self._velocities.Eval(context)
-        A_W = self._accelerations.Eval(context) if self._accelerations.HasValue(context) else None
-        gauges.begin(X_W, V_W, A_W, self._object, self._fingers)
+        results, pressing = self._results.Eval(context), [list[Any]() for _ in self._fingers]
         for k in range(results.num_hydroelastic_contacts()):
             info = results.hydroelastic_contact_info(k)
             patch = info.contact_surface()
@@ -223,7 +220,7 @@ class ContactMonitor(LeafSystem):
                 share = _share_of_M(patch) if first else 1.0 - _share_of_M(patch)
                 F_Ac_W = info.F_Ac_W().get_coeffs()  # body A has geometry M
                 force = -F_Ac_W if first else F_Ac_W
-                gauges.add(i, share, share, patch.centroid(), force[3:], force[:3])
+                pressing[i].append(((share, share), patch.centroid(), force[3:], force[:3]))
         for k in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(k)
             pair, p_WC, force = info.point_pair(), info.contact_point(), info.contact_force()
@@ -233,8 +230,11 @@ class ContactMonitor(LeafSystem):
                 # stiffer one's surface. The depth may be 0 or negative by rounding.
                 off = math.dist(pair.p_WCa if first else pair.p_WCb, p_WC)
                 share = 1.0 if self._at_finger[i] else min(1.0, off / max(pair.depth, TINY))
-                gauges.add(i, share, 0.0, p_WC, force if first else -force, 0.0)
-        return gauges.measure()
+                force = force if first else -force
+                pressing[i].append(((share, 0.0), p_WC, force, np.zeros(3)))
+        X_W, V_W = self._poses.Eval(context), self._velocities.Eval(context)
+        A_W = self._accelerations.Eval(context) if self._accelerations.HasValue(context) else None
+        return self._gauges().measure(X_W, V_W, A_W, self._object, self._fingers, pressing)
 
 
 def _slip(finger: Surface, obj: Surface, state: Array) -> Array:
@@ -262,9 +262,7 @@ def _share_of_M(patch: ContactSurface) -> float:
 
 
 class ContactGauges:
-    """Measures all contacts of a scene at one time: `begin`, `add` what presses, then `measure`.
-
-    One thread at a time may use it.
+    """Measures all contacts of a scene at one time; one thread at a time may use it.
 
     scene : Scene
     step : s, of the discrete plant whose forces are those of the last step; 0 if they are of now
@@ -276,63 +274,58 @@ class ContactGauges:
         self._motions = FingerTables(_motion(), MOTION_INPUTS, steps)
         self._forces = FingerTables(_forces(), FORCE_INPUTS, [[]] * len(steps))
         self._result = np.zeros((len(steps), sum(MEASURED.values())))
-        x = self._motions.x
-        self._acting = [*zip(x["point"], x["force"], x["torque"])]
 
-    def begin(self, X_W: Any, V_W: Any, A_W: Any, obj: int, fingers: list[int]) -> None:
-        """Set the motion of the bodies, from Drake's lists of all bodies, without any contact."""
-        self._motions.put(X_W, V_W, obj, fingers)
-        if A_W is not None:
-            self._motions.x["A_WO"][:] = A_W[obj].get_coeffs()
-            self._motions.x["A_WF"][:] = [A_W[body].get_coeffs() for body in fingers]
-        # of each contact: the sum of the sizes of its forces, and the means of share and k_share
-        self._sums = [(0.0, 0.0, 0.0)] * len(self._probes)
+    def measure(
+        self, X_W: Any, V_W: Any, A_W: Any, obj: int, fingers: list[int], pressing: list[list[Any]]
+    ) -> Array:
+        """Slip, normal force, tangential force in E2, state, contact point in O: (n, 17).
 
-    def add(
-        self, i: int, share: float, k_share: float, p_WC: Array, force: Array, torque: Array | float
-    ) -> None:
-        """Add a patch or point pair of contact i, at C. The whole contact's C and shares are means,
-        weighted by the sizes of the forces.
-
-        share : where between the surfaces of object (0) and finger (1) slip is taken
-        k_share : part of the patch's curvature that is the finger's; the rest is the object's
-        force, torque : on the finger, about C, in the world
+        X_W, V_W, A_W : Drake's lists of all bodies; A_W may be None
+        pressing : for each contact its patches and point pairs, as `_whole` takes them
         """
-        (at, total, turning), (pressing, taken, curved) = self._acting[i], self._sums[i]
-        size = math.hypot(*force.tolist()) + TINY  # forces of size 0 get equal weights
-        part = size / (pressing + size)
-        if part == 1.0:
-            at[:], total[:], turning[:] = p_WC, force, torque
-        else:
-            to_C = part * (p_WC - at)
-            arms = np.array([-to_C, p_WC - at - to_C])
-            turning += np.cross(arms, [total, force]).sum(0) + torque
-            at += to_C
-            total += force
-        shares = taken + part * (share - taken), curved + part * (k_share - curved)
-        self._sums[i] = pressing + size, *shares
-
-    def measure(self) -> Array:
-        """Slip, normal force, tangential force in E2, state, contact point in O: (n, 17)."""
-        self._motions.run()
-        for i, (pressing, share, k_share) in enumerate(self._sums):
+        self._motions.put(X_W, V_W, obj, fingers)
+        x = self._motions.x
+        if A_W is not None:
+            x["A_WO"][:] = A_W[obj].get_coeffs()
+            x["A_WF"][:] = [A_W[body].get_coeffs() for body in fingers]
+        for i, parts in enumerate(pressing):
             probe, moved, result = self._probes[i], self._motions.results[i], self._result[i]
             seen, found, inputs = probe.seen, probe.found, self._forces.points[i]
+            share = k_share = 0.0
+            if parts:
+                (share, k_share), *load = parts[0] if len(parts) == 1 else _whole(parts)
+                x["point"][i], x["force"][i], x["torque"][i] = load
+            self._motions.machines[i].run()
             # slip and forces, where the step that ended now began
             seen[:18], seen[18], seen[19] = moved[THEN], share, 0.0  # slip follows from the twist
-            if pressing:
+            if parts:
                 probe.find(moved[IN_O], moved[IN_F])
             else:
                 probe.find(probe.approach())
             inputs[:21], inputs[21:30] = found[ON_OBJECT.start : GAP + 1], moved[LOAD]
             inputs[30], result[:2] = k_share, found[SLIP]
             self._forces.machines[i].run()
-            result[2:5] = self._forces.results[i] if pressing else 0.0
+            result[2:5] = self._forces.results[i] if parts else 0.0
             # where the contact is now, with the slip of the step as known
             seen[:18], seen[18], seen[19], seen[20:] = moved[NOW], 0.0, 1.0, result[:2]
             probe.find(found[ON_OBJECT], found[ON_FINGER])
             result[5:14], result[14:17] = found[STATES], found[ON_OBJECT]
         return self._result
+
+
+def _whole(parts: list[Any]) -> tuple[Array, Array, Array, Array]:
+    """A contact of several patches or point pairs as one: shares and C are means, weighted by the
+    sizes of the forces.
+
+    parts : of each its shares (where between the surfaces of object, 0, and finger, 1, slip is
+        taken; the part of the patch's curvature that is the finger's, the rest is the object's), C,
+        the force on the finger, and its torque about C, in the world
+    """
+    shares, points, forces, torques = map(np.array, zip(*parts))
+    sizes = np.linalg.norm(forces, axis=1) + TINY  # forces of size 0 get equal weights
+    weights = sizes / sizes.sum()
+    C = weights @ points
+    return weights @ shares, C, forces.sum(0), (torques + np.cross(points - C, forces)).sum(0)
 
 
 @per_structure
