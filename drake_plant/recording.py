@@ -102,10 +102,8 @@ class Recording:
         )
         ContactVisualizer.AddToBuilder(builder, scene_plant.plant, meshcat, forces)
         self._visualizer.StartRecording(set_transforms_while_recording=False)
-        for path in ("/Grid", "/Axes"):
+        for path in ("/Grid", "/Axes", "/Background"):
             meshcat.SetProperty(path, "visible", False)
-        for name in ("top_color", "bottom_color"):
-            meshcat.SetProperty("/Background/<object>", name, [1.0, 1.0, 1.0])
         self._fingers = model_names(scene)
         look_at(meshcat, scene)
 
