@@ -44,7 +44,7 @@ from .hand import Hand, own_hand
 POSTURE, ON_PAD = 0.3, 1.0  # weights of the middles of joints' ranges and of pads
 NEAR = 0.02  # near a limit a joint is drawn to the middle more strongly, by up to 1 / NEAR
 INSIDE = 0.02  # part of a joint's range that a start keeps from each of its limits
-STRAIGHT = 1e-8  # damping of J J^T over its trace, for fingers that are stretched out
+STRAIGHT = 1e-4  # singular value over the greatest, below which fingers count as stretched out
 SLIPPING = 1e-3  # slip over the object's speed at which joints are said not to roll a tip
 AT_LIMIT = 1e-9  # distance from a limit, in the joint's unit, at which it counts as reached
 REACHED = 1e-9  # m or rad, greatest error of a tip
@@ -298,15 +298,11 @@ class Chains:
     def _nearest(self, i: int, J: Array, v: Array, wanted: Array) -> Array:
         """Of a finger's joint velocities with J q' = v those nearest to wanted ones, (joints,).
 
-        Damped least squares: also near a singular posture they stay finite, where J q' is nearly v.
+        In a singular posture, where there are none, those for which J q' is nearest to v.
         """
         own = self.joints[i]
-        J, unit = J[:, own], self.unit[own] ** 2
-        square = (J * unit) @ J.T
-        square += STRAIGHT * np.trace(square) * np.eye(len(square))
-        for _ in range(2):  # the second pass removes the error of the damping
-            wanted = wanted + unit * (J.T @ np.linalg.solve(square, v - J @ wanted))
-        return wanted
+        J, unit = J[:, own], self.unit[own]
+        return wanted + unit * (np.linalg.pinv(J * unit, rcond=STRAIGHT) @ (v - J @ wanted))
 
     def _limits(self, joints: list[int], q: Array) -> str:
         """Joints with their positions and limits, for messages."""
