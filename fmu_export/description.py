@@ -6,6 +6,7 @@ All of it is text for an importer; what the variables mean is in :mod:`.variable
 from __future__ import annotations
 
 import math
+import os
 import re
 import time
 import xml.etree.ElementTree as ET
@@ -19,7 +20,6 @@ from contact_system import __version__
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
-from .archive import generation_time
 from .build import SOURCES
 from .quantities import Unit, Variable, unit_name
 from .variables import Table
@@ -96,6 +96,11 @@ def listed(table: Table, fmi_version: str) -> list[Variable]:
 
 
 # --- head ----------------------------------------------------------------------------------------
+
+
+def generation_time() -> time.struct_time:
+    """Now, or ``$SOURCE_DATE_EPOCH``, in UTC."""
+    return time.gmtime(int(os.environ.get("SOURCE_DATE_EPOCH") or time.time()))
 
 
 def _head(table: Table, fmi_version: str) -> dict[str, str]:

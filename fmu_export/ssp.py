@@ -16,9 +16,8 @@ from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
 from . import build
-from .archive import target, write_fmu
 from .description import xml_text
-from .export import export_fmu
+from .export import export_fmu, target, write_fmu
 
 _NAMESPACES = {
     "xmlns:ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",

@@ -33,8 +33,8 @@ from fmu_hosts.native import (  # noqa: E402
 )
 
 from fmu_export import build, check_fmu, cli, export_fmu  # noqa: E402
-from fmu_export.archive import write_fmu  # noqa: E402
 from fmu_export.build import PLATFORMS  # noqa: E402
+from fmu_export.export import write_fmu  # noqa: E402
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 K1, C2 = cs.load_scene("K1"), cs.load_scene("C2")
