@@ -100,28 +100,41 @@ class _Reader:
         """The value of a node, ``depth`` operations deep."""
         within("FORMULA_NESTING", depth, f"formula {self.text:.40}...: nesting")
         match node:
-            case ast.Constant():
-                return self.number(node)
-            case ast.Name():
-                return self.name(node)
+            case ast.Constant(value) if type(value) in (int, float):
+                return self.result(node, float, value)
+            case ast.Constant(value):
+                problem = f"{value!r} is not a real number"
+            case ast.Name(name) if name in self.names:
+                return self.names[name]
+            case ast.Name(name) if name in FUNCTIONS:
+                problem = f"{name} is a function; write {name}(...)"
+            case ast.Name(name):
+                problem = f"unknown name {name}{_nearest(name, self.names)}"
+            case ast.UnaryOp(ast.USub(), operand):
+                return -self.read(operand, depth + 1)
+            case ast.UnaryOp(ast.UAdd(), operand):
+                return self.read(operand, depth + 1)
+            case ast.BinOp(left, op, right) if type(op) in _BINARY:
+                return self.apply(node, _BINARY[type(op)], depth + 1, left, right)
+            case ast.BinOp(op=ast.BitXor()):
+                problem = "^ is not a power here; write **"
             case ast.BinOp():
-                return self.operation(node, depth + 1)
+                problem = "only + - * / ** combine two values in a formula"
+            case ast.Call(ast.Name(name), given, []) if name in FUNCTIONS:
+                count, *_ = meaning = FUNCTIONS[name]
+                if len(given) == count:
+                    return self.apply(node, meaning, depth + 1, *given)
+                problem = f"{name} takes {count} argument(s), not {len(given)}"
+            case ast.Call(ast.Name(name), _, []):
+                problem = f"unknown function {name}{_nearest(name, FUNCTIONS)}"
             case ast.Call():
-                return self.call(node, depth + 1)
-            case ast.UnaryOp(op=ast.USub()):
-                return -self.read(node.operand, depth + 1)
-            case ast.UnaryOp(op=ast.UAdd()):
-                return self.read(node.operand, depth + 1)
-            case ast.Attribute():
-                raise self.fail(node, f"write {node.attr} without the module before it")
-        raise self.fail(
-            node, 'write arithmetic and known functions; a list is written as ["2*pi/3", "pi/2"]'
-        )
-
-    def number(self, node: ast.Constant) -> float:
-        if type(node.value) not in (int, float):
-            raise self.fail(node, f"{node.value!r} is not a real number")
-        return self.result(node, float, node.value)
+                problem = "call functions by their plain name, as in atan2(y, x)"
+            case ast.Attribute(attr=name):
+                problem = f"write {name} without the module before it"
+            case _:
+                problem = "write arithmetic and known functions; a list is written as "
+                problem += '["2*pi/3", "pi/2"]'
+        raise self.fail(node, problem)
 
     def result(self, node: ast.expr, function: Callable[..., float], *values: Any) -> float:
         """The function's value at numbers; raises if it is not a finite real number."""
@@ -132,32 +145,6 @@ class _Reader:
         if not math.isfinite(result):
             raise self.fail(node, "the number is too large")
         return result
-
-    def name(self, node: ast.Name) -> Value:
-        if node.id in self.names:
-            return self.names[node.id]
-        if node.id in FUNCTIONS:
-            raise self.fail(node, f"{node.id} is a function; write {node.id}(...)")
-        raise self.unknown(node, node.id, self.names)
-
-    def operation(self, node: ast.BinOp, depth: int) -> Value:
-        if isinstance(node.op, ast.BitXor):
-            raise self.fail(node, "^ is not a power here; write **")
-        meaning = _BINARY.get(type(node.op))
-        if meaning is None:
-            raise self.fail(node, "only + - * / ** combine two values in a formula")
-        return self.apply(node, meaning, depth, node.left, node.right)
-
-    def call(self, node: ast.Call, depth: int) -> Value:
-        if not isinstance(node.func, ast.Name) or node.keywords:
-            raise self.fail(node, "call functions by their plain name, as in atan2(y, x)")
-        name = node.func.id
-        if name not in FUNCTIONS:
-            raise self.unknown(node, name, FUNCTIONS)
-        count = FUNCTIONS[name][0]
-        if len(node.args) != count:
-            raise self.fail(node, f"{name} takes {count} argument(s), not {len(node.args)}")
-        return self.apply(node, FUNCTIONS[name], depth, *node.args)
 
     def apply(self, node: ast.expr, meaning: Meaning, depth: int, *given: ast.expr) -> Value:
         _, of_numbers, of_symbols = meaning
@@ -170,7 +157,6 @@ class _Reader:
             return getattr(ca, of_symbols)(*values)
         return self.result(node, of_numbers, *values)
 
-    def unknown(self, node: ast.expr, name: str, known: Iterable[str]) -> ContactSystemError:
-        hint = did_you_mean(name, known) or f"; known are {', '.join(sorted(known))}"
-        kind = "function" if known is FUNCTIONS else "name"
-        return self.fail(node, f"unknown {kind} {name}{hint}")
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    return did_you_mean(name, known) or f"; known are {', '.join(sorted(known))}"
