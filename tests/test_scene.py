@@ -427,6 +427,7 @@ def test_a_file_of_windows_with_byte_order_mark_and_crlf_is_read(tmp_path):
     assert load_scene(tmp_path / "x.toml") == read(GOOD.replace("good", "größer"))
 
 
+CHART = {"f": ("r*cos(u)", "r*sin(u)", "v"), "parameters": {"r": 1 / 3}}
 number, KEYS = st.floats(-10, 10), st.text().filter(lambda key: key not in vars(small_scene()))
 SURFACES = [
     Plane(),
@@ -436,7 +437,7 @@ SURFACES = [
     Quadric(((30, 1, 0), (1, 20, 0), (0, 0, -10)), inside=True),
     Quadric(np.diag([4.0, -2.0, -3.0]), sheet=np.int64(-1)),
     Quadric(((-3, 0, 0), (0, -2, 0), (0, 0, 4)), sheet=-1.0),
-    ParametricSurface(("r*cos(u)", "r*sin(u)", "v"), parameters={"r": 1 / 3}, u_period=2 * pi),
+    ParametricSurface(**CHART, u_period=2 * pi, u_range=(20, 27)),
     ImplicitSurface("x**2 + y**4 + z**2 - r**2", parameters={"r": 1 / 7}, size=1 / 9),
 ]
 

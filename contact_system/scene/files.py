@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import json
-import math
 import os
 import re
 import tomllib
@@ -91,9 +90,10 @@ def refuse_degrees(places: Contact | Goal, body: Surface, finger: Surface) -> No
     """Refuse coordinates beyond two turns: they are degrees by mistake, and without this check
     whole turns would be removed and the contact put at another place."""
     for key, surface in (("object_at", body), ("finger_at", finger)):
-        for x, period in zip(getattr(places, key) or (), surface.periods()):
-            # a coordinate without a period is an angle that ends at poles, or no angle
-            _refuse_turns(x, key, period or (TURN if surface.chart.singular_at else math.inf))
+        if at := getattr(places, key):
+            for x, moved, period in zip(at, surface._wrap(*at), surface.periods()):
+                if x != moved:
+                    _refuse_turns(x, key, period or TURN)
 
 
 def _refuse_turns(x: Any, key: str, turn: float) -> None:
