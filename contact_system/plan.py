@@ -8,22 +8,32 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
+import json
 import os
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import ROUNDING, finite_number, of_kind, one_of, shaped_array, whole_number
+from .checks import (
+    ROUNDING,
+    finite_number,
+    of_kind,
+    one_of,
+    shaped_array,
+    whole_number,
+    within,
+)
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .files import a_path, opened, writing
 from .planning.motion import SHAPES, Motion
-from .planning.saved import inputs_of, texts_of
-from .planning.starts import Starts, measured_start, on_branch
-from .scene import Scene, acting, require_scene
+from .planning.starts import Moment, Starts, measured_start, on_branch
+from .scene import Scene, Start, acting, require_scene, scene_from_toml, scene_to_toml
 
 METHODS = ("auto", "chart")
 SOLVERS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
+SAVED = ("tolerance", "method", "solver", "start", "starts")
+"""Arguments and attributes of a plan that a file holds, beside its scene."""
 
 
 def plan(
@@ -384,8 +394,12 @@ class Plan:
             if path.suffix == ".csv":
                 file.write(self._csv(t).encode())
                 return
-            results = self.evaluate(t, "states", "slip", "twist", "pose", "points")
-            np.savez_compressed(file, **texts_of(self), t=t, **results)  # type: ignore[arg-type]
+            inputs = {key: getattr(self, key) for key in SAVED}
+            inputs["starts"] = [start._asdict() for start in self.starts or ()] or None
+            held: dict[str, Any] = {"scene": scene_to_toml(self.scene), "plan": json.dumps(inputs)}
+            held["t"] = t
+            held |= self.evaluate(t, "states", "slip", "twist", "pose", "points")
+            np.savez_compressed(file, **held)
 
     def sample_times(self, count: int = 401) -> np.ndarray:
         """Equally spaced times over the plan, and the scene's edges: (n,), ascending, s.
@@ -484,4 +498,19 @@ def load(path: str | os.PathLike[str]) -> Plan:
     if path.suffix == ".toml":
         raise ContactSystemError(f"{path} is a scene file: give it to load_scene, or a plan's .npz")
     with opened(path, "a plan written by Plan.save") as archive:
-        return Plan(**inputs_of(archive, str(path)))
+        scene, inputs = _text(archive, "scene"), json.loads(_text(archive, "plan"))
+        inputs["starts"] = list(map(_start, inputs["starts"] or ()))
+        return Plan(scene_from_toml(scene, str(path)), **inputs)
+
+
+def _text(archive: Any, name: str) -> str:
+    """A text of a saved plan."""
+    size = archive.getinfo(f"{name}.npy").file_size
+    within("PLAN_BYTES", size, f"{name}.npy: bytes when unpacked", ContactSystemError)
+    return str(np.load(io.BytesIO(archive.read(f"{name}.npy"))))
+
+
+def _start(table: dict[str, Any]) -> Start | Moment:
+    """How a contact of a saved plan starts."""
+    fields: Any = {key: tuple(x) if isinstance(x, list) else x for key, x in table.items()}
+    return Moment(**fields) if "slip" in fields else Start(**fields)
