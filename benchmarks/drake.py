@@ -212,7 +212,7 @@ def _pushed(size: float, time: float, across: bool, model: str, closed: bool) ->
     result = simulate(scene, config if closed else config.opened(), duration=stop + AFTER)
     (push,), used = push_table(result), result.measured["friction_used"][result.t > PUSHED, finger]
     slides = bool(np.nanmax(used) >= SATURATED)
-    return {"slip": push.slip, "slides": slides, "off": push.off, "distance": push.left}
+    return {"slip": push.slip, "slides": slides, "off": push.time_off, "distance": push.left}
 
 
 def feedback(full: bool) -> Iterator[Bar]:

@@ -46,7 +46,7 @@ def scenes(full: bool) -> Iterator[Bar]:
             yield Bar(what + "off", 1.0, 1e3 * report.off[part].max(), "mm")
             angle = math.degrees(report.turned_off[part].max())
             yield Bar(what + "angle off", 1.0, angle, "degrees")
-            yield Bar(what + "off the object", 0.0, report.lost.max(), "s")
+            yield Bar(what + "off the object", 0.0, report.time_off.max(), "s")
             yield Bar(what + "friction used, planned", 0.9, report.cones_planned.max())
             yield Bar(what + "friction used, outside pushes", 0.9, report.cones.max())
             limit = 0.5 if name in ("H2", "H5") else None
@@ -95,7 +95,7 @@ def random(full: bool) -> Iterator[Bar]:
             and math.degrees(report.turned_off[-1]) <= 1
             and report.cones.max() <= 0.9
             and report.slipped.max() <= 5e-4
-            and not report.lost.any()
+            and not report.time_off.any()
         )
     share, note = float(np.mean(done)), f"{len(tried)} simulated"
     yield Bar("of these, done within the bars of H2", 0.95, share, least=True, note=note)

@@ -157,13 +157,15 @@ def _happened(result: SimulationResult, reports: Sequence[ContactReport]) -> Ite
         yield f"Balancing forces use at most {planned.max():.0%} of the friction cones as planned,"
         yield f"{most:.0%} as measured."
     for r in reports:
-        if r.off:
-            yield f"{r.name} was off the object for {r.off:.3g} s."
+        if r.time_off:
+            yield f"{r.name} was off the object for {r.time_off:.3g} s."
         if r.astray:
             yield f"{r.name} is astray: up to {r.distance:.3g} m from where it is planned,"
             yield f"on a path of {r.path:.3g} m."
-    if slips := [r for r in reports if r.plan_slips]:
-        time, most = (max(getattr(r, key) for r in slips) for key in ("plan_slips", "planned_slip"))
+    if slips := [r for r in reports if r.plan_slip_time]:
+        time, most = (
+            max(getattr(r, key) for r in slips) for key in ("plan_slip_time", "planned_slip")
+        )
         yield f"The plan itself slips at {', '.join(r.name for r in slips)}, for {time:.3g} s and"
         yield f"by {most:.2g} m/s at most, which is not counted as rolling."
 
@@ -174,7 +176,7 @@ def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
         ("contact", "", field("name"), "s"),
         ("normal force", "N", field("normal_mean"), ".4f"),
         ("normal std", "N", field("normal_deviation"), ".4f"),
-        ("off object", "s", field("off"), ".3f"),
+        ("off object", "s", field("time_off"), ".3f"),
         ("peak friction", "N", field("friction_peak"), ".3f"),
         ("over mu N", "", field("friction_ratio"), ".3f"),
         ("in rolling", "N", field("rolling_friction"), ".3f"),
@@ -225,7 +227,7 @@ def _hand(result: HandResult) -> Iterable[str]:
         ("cone planned", "", report.cones_planned, ".1%"),
         ("cone measured", "", report.cones, ".1%"),
         ("slip", "mm", 1e3 * report.slipped, ".3f"),
-        ("off object", "s", report.lost, ".3f"),
+        ("off object", "s", report.time_off, ".3f"),
         ("spin", "degrees", np.degrees(spin), ".1f"),
     )
     goal = math.degrees(angles_between(*plan.object_pose[[0, -1]]))
@@ -275,8 +277,13 @@ def _pushes(result: SimulationResult, opened: SimulationResult | None) -> Iterab
         ("force", "N", [math.hypot(*r.push.force) for r in reports], ".3g"),
         ("loop", "", [loop for loop, _ in rows], "s"),
         *(
-            (name, unit, 1e3 * np.array(_of_each(reports, name)), ".3f")
-            for name, unit in (("slip", "mm"), ("off", "ms"), ("farthest", "mm"), ("left", "mm"))
+            (name, unit, 1e3 * np.array(_of_each(reports, key)), ".3f")
+            for name, key, unit in (
+                ("slip", "slip", "mm"),
+                ("off", "time_off", "ms"),
+                ("farthest", "farthest", "mm"),
+                ("left", "left", "mm"),
+            )
         ),
     )
     yield from _explained(

@@ -40,8 +40,8 @@ class ContactReport:
     name : str
     normal_mean, normal_deviation : float
         Of the normal force outside the transients [N].
-    off : float
-        Time off the object, from the first step on [s].
+    time_off : float
+        Off the object, from the first step on [s].
     kept : bool
         Whether no contact of the simulation was ever off the object, and the object does not fall.
     friction_peak : float
@@ -51,7 +51,7 @@ class ContactReport:
         while that is at least half its mean (of all times if all are transient); NaN if mu is 0.
     planned_slip : float
         Greatest slip of the plan itself before any disturbance [m/s].
-    plan_slips : float
+    plan_slip_time : float
         Time before any disturbance in which the plan's slip is more than 1 % of sigma [s].
     rolling_friction : float
         Mean tangential force before any disturbance, while the plan rolls [N].
@@ -87,12 +87,12 @@ class ContactReport:
     name: str
     normal_mean: float
     normal_deviation: float
-    off: float
+    time_off: float
     kept: bool
     friction_peak: float
     friction_ratio: float
     planned_slip: float
-    plan_slips: float
+    plan_slip_time: float
     rolling_friction: float
     rolling_slip: float
     pushed: bool
@@ -128,7 +128,7 @@ class ContactReport:
         reported", "not as reported", or is "still recovering", if followed for less than that time.
         """
         if not self.kept:
-            return "came off" if self.off else "not kept"
+            return "came off" if self.time_off else "not kept"
         if self.astray:
             return "astray"
         if not self.disturbed:
@@ -176,15 +176,15 @@ class PushReport:
     push : Push
     slip : float
         Summed while touching [m].
-    off : float
-        Time off the object [s].
+    time_off : float
+        Off the object [s].
     farthest, left : float
         Greatest and last distance of the contact point from that of the plan before restarts [m].
     """
 
     push: Push
     slip: float
-    off: float
+    time_off: float
     farthest: float
     left: float
 
@@ -197,7 +197,7 @@ class HandReport:
     ----------
     off, turned_off : (m,)
         Distance of the object's origin from its path, and angle of its orientation.
-    slipped, lost : (n,)
+    slipped, time_off : (n,)
         Slip summed while touching, m, and time off the object, s.
     cones_planned, cones : (n,)
         The greatest part of a friction cone that is used; measured outside pushes and 0.1 s after,
@@ -211,7 +211,7 @@ class HandReport:
     off: Array
     turned_off: Array
     slipped: Array
-    lost: Array
+    time_off: Array
     cones_planned: Array
     cones: Array
     torque_share: Array
@@ -314,7 +314,7 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
         pushed = any(p.on in (name, "object") and p.start < t[-1] for p in result.config.pushes)
         reports.append(
             ContactReport(
-                name=name, off=float(off[i]), kept=kept, pushed=pushed, path=path, **found
+                name=name, time_off=float(off[i]), kept=kept, pushed=pushed, path=path, **found
             )
         )
     return reports
@@ -335,7 +335,7 @@ def hand_report(result: HandResult) -> HandReport:
         off=np.linalg.norm(X[:, :3, 3] - wanted[:, :3, 3], axis=1),
         turned_off=angles_between(X, wanted),
         slipped=path_slid(result).sum(axis=0),
-        lost=time_off(result).sum(axis=0),
+        time_off=time_off(result).sum(axis=0),
         cones_planned=plan.cones.max(axis=0),
         cones=np.where(seen, np.nanmax(used, axis=0, initial=0.0), np.nan),
         torque_share=(np.abs(torques) / chains.effort).max(axis=0),
@@ -411,7 +411,7 @@ def _rolling(
         "friction_peak": float(friction.max()),
         "friction_ratio": _greatest(used[pressed]),
         "planned_slip": _greatest(of_plan[early]),
-        "plan_slips": float((early & slips) @ time),
+        "plan_slip_time": float((early & slips) @ time),
         "rolling_friction": _mean(friction[before & ~slips], time[before & ~slips]),
         "rolling_slip": _mean(slip[moves] / speed[moves], time[moves]),
         "slip_before": _greatest(slip[before]),

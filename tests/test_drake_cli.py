@@ -122,7 +122,7 @@ def test_time_off_the_object_counts_every_step_and_not_only_those_logged():
     SetInitialState(station, simulator.get_mutable_context())
     simulator.AdvanceTo(result.t[-1])
     off = (log.FindLog(simulator.get_context()).data()[:, 1:] <= 0).sum(axis=1)
-    found = [report.off for report in contact_table(result)]
+    found = [report.time_off for report in contact_table(result)]
     assert found == pytest.approx(off * result.config.time_step) and off[0] > 100
 
 
@@ -164,7 +164,7 @@ def test_slip_of_the_plan_itself_is_reported_as_such_and_not_as_rolling():
     reports, text = reported("K1")
     for report in reports:
         assert math.isnan(report.rolling_friction) and math.isnan(report.rolling_slip)
-        assert report.plan_slips == pytest.approx(0.6, abs=2e-3)
+        assert report.plan_slip_time == pytest.approx(0.6, abs=2e-3)
     assert "The plan itself slips at finger 1, finger 2, finger 3, for 0.6 s and by 0.11" in text
     assert "The paper reports: initial slip rejected within 0.04 s." in text
 

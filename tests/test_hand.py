@@ -146,7 +146,7 @@ def test_a_users_model_a_hundred_times_lighter_moves_as_the_packages_hand(tmp_pa
     plan = hand_plan(H2.replace(contacts=contacts), **light)
     np.testing.assert_allclose(plan.q, hand_plan(contact_model="point").q, atol=1e-6)
     told = hand_report(pickle.loads(pickle.dumps(simulate(plan.scene, duration=0.3))))
-    assert told.off.max() < 1e-5 and told.slipped.max() < 1e-4 and not told.lost.any()
+    assert told.off.max() < 1e-5 and told.slipped.max() < 1e-4 and not told.time_off.any()
 
 
 @pytest.mark.parametrize("joints", [4, 6])
@@ -204,7 +204,7 @@ def test_a_ball_that_a_hand_turns_ends_where_it_was_planned(model):
     told, planned = hand_report(result), result.planned["contact_point"]
     assert np.ptp(np.linalg.norm(planned, axis=-1)) < 1e-12  # on the ball
     assert told.off[-1] < 1e-4 and told.turned_off[-1] < math.radians(0.1)
-    assert told.cones.max() < 0.9 and not told.lost.any() and told.slipped.max() < 2e-4
+    assert told.cones.max() < 0.9 and not told.time_off.any() and told.slipped.max() < 2e-4
     assert told.torque_share.max() < 1 and told.room.min() > 0
 
 
