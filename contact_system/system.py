@@ -242,16 +242,13 @@ class SceneSystem:
         SceneError
             An unknown output.
         """
-        key = ("jacobian", output)
+        slopes = f"{output}_slopes"
         with making_symbols():
-            value = self._expression(output)
-            if key not in self._functions:
-                inputs = list(self._symbols.values())
-                slopes = ca.jacobian(value, ca.vertcat(*inputs[:-1]))
-                dense = [ca.densify(x) for x in ca.cse([value, slopes])]
-                name, outputs = f"scene_{output}_slopes", [output, "slopes"]
-                self._functions[key] = ca.Function(name, inputs, dense, list(INPUTS), outputs)
-        return self._functions[key]
+            if slopes not in self._expressions:
+                *varied, _ = self._symbols.values()
+                along = ca.vertcat(*varied)
+                self._expressions[slopes] = ca.jacobian(self._expression(output), along)
+            return self.function(output, slopes)
 
     def _expression(self, output: str) -> ca.SX:
         with making_symbols():
