@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import platform
+import shutil
 import sys
+import sysconfig
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -56,13 +59,21 @@ def test_pip_fetches_ziglang_only_where_there_is_no_c_compiler(tmp_path):
 
 def test_files_that_an_older_version_left_in_the_clone_get_into_no_wheel(tmp_path):
     pytest.importorskip("setuptools", "77")
-    old = tmp_path / "build/lib.linux-x86_64-cpython-311/contact_system/scenes/old.toml"
+    clone, root = tmp_path / "clone", Path(__file__).parents[1]
+    for folder in ("contact_system", "fmu_export", "drake_plant"):
+        shutil.copytree(root / folder, clone / folder, ignore=shutil.ignore_patterns("*.so"))
+    for file in ("setup.py", "pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(root / file, clone)
+    built = f"lib.{sysconfig.get_platform()}-{sys.implementation.cache_tag}"
+    old = clone / "build" / built / "contact_system/scenes/old.toml"
     old.parent.mkdir(parents=True)
     old.touch()
-    build = "import os, sys; sys.path.insert(0, '.'); import setup; os.chdir(sys.argv[1])"
-    build += "; setup.build_meta.build_wheel = lambda *_: None; setup.build_wheel('dist')"
-    run_python("-c", build, tmp_path)
-    assert not old.exists()
+    build = "import os, sys; os.chdir(sys.argv[1]); sys.path.insert(0, '.'); import setup"
+    run_python("-c", f"{build}; setup.build_wheel('dist')", clone)
+    (wheel,) = clone.glob("dist/*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    assert "contact_system/scenes/K1.toml" in names
+    assert "contact_system/scenes/old.toml" not in names
 
 
 def test_generated_c_is_what_the_generator_makes_of_the_equations_now():
