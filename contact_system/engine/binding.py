@@ -73,7 +73,7 @@ class Fact(Structure):
     """``fact_t``: how one body was planned on one interval."""
 
     _fields_ = _each(c_double, "start stop")
-    _fields_ += _each(c_int64, "side kind in_space by_length panels reason")
+    _fields_ += _each(c_int64, "side kind in_space by_length panels reason offset")
 
 
 class Sensor(Structure):

@@ -124,8 +124,8 @@ static int64_t facts(const plan_t *plan, int64_t contact, int64_t room, fact_t *
     for (int64_t i = 0; i < c->n_tracks[s]; i++, n++) {
       const track_t *k = c->tracks[s] + i;
       if (n < room)
-        out[n] = (fact_t){k->drive->start, k->stop,      s,           k->kind,
-                          k->in_space,     k->by_length, k->panels.n, k->reason};
+        out[n] = (fact_t){k->drive->start, k->stop,     s,         k->kind,       k->in_space,
+                          k->by_length,    k->panels.n, k->reason, any(k->offset)};
     }
   return n;
 }

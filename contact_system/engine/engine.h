@@ -134,22 +134,13 @@ typedef struct {
   double t, end, value, u, v;     /* value: sigma; if TOO_LONG, sizes of path, more than `end` */
 } failure_t;
 
-/* how the motion of one body was found on one interval, and why so */
+/* how the motion of one body was found on one interval, and why so; a finger that nothing
+   accelerates has no slip of its own; offset: whether a rate offset acts */
 enum { CIRCLE, LINE, PANELS };
-enum {
-  UNPUSHED,
-  NO_SLIP,
-  SLIP_LEFT,
-  SLIPS,
-  OFFSET,
-  OFFSET_AND_SLIP,
-  PUSHED,
-  NEGLIGIBLE,
-  FOLLOWING
-};
+enum { NO_SLIP, NEGLIGIBLE, SLIPS, PUSHED };
 typedef struct {
   double start, stop;
-  int64_t side, kind, in_space, by_length, panels, reason;
+  int64_t side, kind, in_space, by_length, panels, reason, offset;
 } fact_t;
 
 typedef struct plan plan_t;

@@ -22,12 +22,19 @@ typedef struct {
 
 static double norm(const double *d) { return hypot(d[0], d[1]); }
 
-static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, int reason) {
+static const double *offset_on(const segment_t *s, int side) {
+  return side ? s->acting + 4 : UNDISTURBED;
+}
+
+/* A track of a body that begins with a segment */
+static track_t *add_track(course_t *c, int side, const segment_t *s, double stop, int reason) {
   const int64_t n = c->contact->n_tracks[side]++;
   track_t *k = c->contact->tracks[side] + n;
-  c->contact->track_edges[side][n] = d->start, c->contact->track_edges[side][n + 1] = HUGE_VAL;
-  k->body = &c->contact->body[side], k->drive = d, k->stop = stop, k->reason = reason;
-  k->in_space = moves_in_space(k->body->surface), k->push = k->offset = UNDISTURBED;
+  double *edges = c->contact->track_edges[side] + n;
+  edges[0] = s->drive->start, edges[1] = HUGE_VAL;
+  k->body = &c->contact->body[side], k->drive = s->drive, k->stop = stop, k->reason = reason;
+  k->in_space = moves_in_space(k->body->surface);
+  k->push = s->acting + 2 * side, k->offset = offset_on(s, side);
   memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
   return k;
 }
@@ -67,17 +74,17 @@ static void in_form(course_t *c, int side, int in_space, double *state) {
 
 /* Begins a new track of a body, where its last one ends. Where its chart is a double cover, the
    sign of chart components depends on the branch that the path is on, which only u v theta show. */
-static motion_t add_motion(course_t *c, int side, const drive_t *d, int reason, const double *push,
-                           const double *offset) {
+static motion_t add_motion(course_t *c, int side, const segment_t *s, int reason) {
   const body_t *b = &c->contact->body[side];
-  const int by_branch = b->surface->double_cover && (any(push) || any(offset));
+  const drive_t *d = s->drive;
+  const int disturbed = any(s->acting + 2 * side) || any(offset_on(s, side));
+  const int by_branch = b->surface->double_cover && disturbed;
   const int in_space = moves_in_space(b->surface) && !by_branch;
   motion_t m = {.n = state_size(in_space), .r0 = c->contact->r0, .panel_limit = b->panel_limit};
   in_form(c, side, in_space, m.state);
   scales(c->w, in_space, b, m.state, m.scale);
-  m.track = add_track(c, side, d, d->stop, reason), m.length = d->stop - d->start;
+  m.track = add_track(c, side, s, d->stop, reason), m.length = d->stop - d->start;
   m.track->kind = PANELS, m.track->in_space = in_space;
-  m.track->push = push, m.track->offset = offset;
   return m;
 }
 
@@ -92,12 +99,6 @@ static track_t *integrate_motion(course_t *c, motion_t *m) {
   return k;
 }
 
-/* The reason that `plan.explain` gives for an object that slips, or is under a rate offset */
-static int reason_of(const course_t *c, const double *offset) {
-  if (!any(offset)) return SLIPS;
-  return any(c->v) ? OFFSET_AND_SLIP : OFFSET;
-}
-
 /* Length of a first panel's path at a tolerance of 1e-12; twice as much takes as many sweeps, half
    of it 1 % more. With a part of the least radius alone, many contacts on ellipsoids took a fifth
    more panels. */
@@ -105,24 +106,26 @@ static double first_length(const body_t *b) { return 0.5 * sqrt(b->least_radius 
 
 /* ---- geodesics ---- */
 
-static void add_geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
+/* In closed form, on a developable surface also under a rate offset, or integrated in arc length */
+static track_t *add_geodesic(course_t *c, int side, const segment_t *s, double stop, int reason) {
   const body_t *b = &c->contact->body[side];
   /* where rolling is imposed, the finger's curve is integrated: it shows to be a geodesic */
-  const int form = reason == FOLLOWING && side == 0 ? NO_CLOSED_FORM : b->surface->closed_form;
+  const int imposed = side == 0 && c->contact->row[K_FOLLOWS] > 0;
+  const int form = imposed ? NO_CLOSED_FORM : b->surface->closed_form;
   if (form != NO_CLOSED_FORM) {
     double state[6];
     state_of(c, side, state);
-    track_t *k = add_track(c, side, drive, stop, reason);
+    track_t *k = add_track(c, side, s, stop, reason);
     (form == GREAT_CIRCLES ? lay_circle : lay_line)(c->w, state, k);
-    return;
+    return k;
   }
-  motion_t m = add_motion(c, side, drive, reason, UNDISTURBED, UNDISTURBED);
+  motion_t m = add_motion(c, side, s, reason);
   const double speed = norm(m.track->w);
   /* where sigma touches zero at a window's edge, an interval may be as short as rounding */
   m.track->by_length = 1, m.track->stop = stop;
-  m.length = fmax(length_at(drive, stop - drive->start), 1e-300);
+  m.length = fmax(length_at(s->drive, stop - s->drive->start), 1e-300);
   m.first = speed > 0 ? first_length(b) / speed : HUGE_VAL;
-  integrate_motion(c, &m);
+  return integrate_motion(c, &m);
 }
 
 /* ---- slip and rate offsets ---- */
@@ -141,53 +144,43 @@ static panels_t slip_length(course_t *c, const drive_t *d) {
   return integrate(c->w, &m, 0.0);
 }
 
-static void add_line(course_t *c, const drive_t *d, const double *offset, int matters) {
-  double state[6];
-  state_of(c, 1, state);
-  track_t *k = add_track(c, 1, d, d->stop, reason_of(c, offset));
-  k->offset = offset;
-  lay_line(c->w, state, k);
-  if (!matters) return; /* the slip that is left does not change the position */
-  k->panels = slip_length(c, d);
-  chart_slope(c->w, k->body, state, c->v, k->aside);
-}
-
 /* Develops the object under a rate offset, or under slip until what is left of it is negligible;
-   returns the time reached. */
-static double develop(course_t *c, const drive_t *d, const double *offset, double negligible) {
-  const body_t *b = &c->contact->body[1];
-  motion_t m = add_motion(c, 1, d, reason_of(c, offset), UNDISTURBED, offset);
+   from there on it runs on a geodesic. */
+static void develop(course_t *c, const segment_t *s, double negligible, int reason) {
+  const drive_t *d = s->drive;
+  motion_t m = add_motion(c, 1, s, reason);
   memcpy(m.v, c->v, sizeof m.v);
-  m.slip = norm(c->v), m.finish = any(offset) ? 0.0 : negligible;
-  m.first = first_time(d, m.length, b);
-  return integrate_motion(c, &m)->stop;
+  m.slip = norm(c->v), m.finish = any(s->acting + 4) ? 0.0 : negligible;
+  m.first = first_time(d, m.length, m.track->body);
+  const double reached = integrate_motion(c, &m)->stop;
+  if (!(reached < d->stop)) return;
+  segment_t *rest = keep(c->w, 1, sizeof *rest);
+  *rest = *s, rest->drive = drive_on(c->w, d->leg, reached, d->stop);
+  add_geodesic(c, 1, rest, d->stop, NEGLIGIBLE);
 }
 
 /* The object on a segment on which nothing accelerates; `stop`: the end of the run of such segments
    without rate offsets. Returns the time reached. */
 static double free_object(course_t *c, const segment_t *s, double stop) {
   const drive_t *d = s->drive;
-  const double *offset = s->acting + 4;
   const body_t *b = &c->contact->body[1];
-  const double slip = norm(c->v);
-  const double negligible =
-      NEGLIGIBLE_PART * b->size * d->per_metre * c->w->plan->scene[S_TOLERANCE];
-  double reached = d->stop;
-  if (b->surface->closed_form == DEVELOPABLE && (slip > 0 || any(offset)))
-    add_line(c, d, offset, slip > ROUNDING * b->size * d->per_metre);
-  else if (slip == 0 && !any(offset))
-    add_geodesic(c, 1, d, reached = stop, c->contact->row[K_FOLLOWS] > 0 ? FOLLOWING : NO_SLIP);
-  else if (slip <= negligible && !any(offset))
-    add_geodesic(c, 1, d, d->stop, NEGLIGIBLE);
-  else {
-    const double end = develop(c, d, offset, negligible);
-    if (end < d->stop) add_geodesic(c, 1, drive_on(c->w, d->leg, end, d->stop), d->stop, SLIP_LEFT);
+  const int straight = b->surface->closed_form == DEVELOPABLE, offset = any(s->acting + 4);
+  const double part = straight ? ROUNDING : NEGLIGIBLE_PART * c->w->plan->scene[S_TOLERANCE];
+  const double slip = norm(c->v), negligible = part * b->size * d->per_metre;
+  const int reason = slip == 0 ? NO_SLIP : slip <= negligible ? NEGLIGIBLE : SLIPS;
+  if (reason != NO_SLIP || offset) stop = d->stop;
+  if (!straight && (reason == SLIPS || offset)) {
+    develop(c, s, negligible, reason);
+  } else {
+    track_t *k = add_geodesic(c, 1, s, stop, reason);
+    if (reason == SLIPS)
+      k->panels = slip_length(c, d), chart_slope(c->w, b, k->begin, c->v, k->aside);
   }
   if (slip > 0) {
     const double left = decay_at(d, d->stop - d->start);
     c->v[0] *= left, c->v[1] *= left;
   }
-  return reached;
+  return stop;
 }
 
 /* ---- accelerations ---- */
@@ -204,8 +197,7 @@ static void set_path_velocity(course_t *c, const double *w1) {
 static motion_t pushed_motion(course_t *c, int side, const segment_t *s, const double *more,
                               double scale) {
   const drive_t *d = s->drive;
-  motion_t m =
-      add_motion(c, side, d, PUSHED, s->acting + 2 * side, side ? s->acting + 4 : UNDISTURBED);
+  motion_t m = add_motion(c, side, s, PUSHED);
   for (int a = 0; a < 2; a++) m.state[m.n + a] = more[a], m.scale[m.n + a] = scale;
   m.n += 2, m.pushed = 1, m.first = first_time(d, m.length, m.track->body);
   return m;
@@ -304,7 +296,7 @@ static void plan_segment(course_t *c, int64_t index, double *until) {
     until[0] = d->stop;
   } else if (until[0] <= d->start) {
     until[0] = free_until(c, 0, index);
-    add_geodesic(c, 0, d, until[0], c->contact->row[K_FOLLOWS] > 0 ? FOLLOWING : UNPUSHED);
+    add_geodesic(c, 0, s, until[0], NO_SLIP);
   }
   if (any(s->acting) || any(s->acting + 2)) {
     push_contact(c, s);

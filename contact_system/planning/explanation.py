@@ -21,8 +21,7 @@ EPS = 2.0**-52
 # failure_t.code, and kind and reason of fact_t, as in engine.h
 STUCK, TOO_MANY_PANELS, TOO_LONG, SINGULAR_CHART, SINGULAR_TIME, OUTSIDE = range(2, 8)
 CIRCLE, LINE, PANELS = range(3)
-UNPUSHED, NO_SLIP, SLIP_LEFT, SLIPS, OFFSET = range(5)
-OFFSET_AND_SLIP, PUSHED, NEGLIGIBLE, FOLLOWING = range(5, 9)
+NO_SLIP, NEGLIGIBLE, SLIPS, PUSHED = range(4)
 
 
 Windows = dict[type[Disturbance], Any]  # start and stop of a contact's disturbances of each kind, s
@@ -43,12 +42,10 @@ def lines(scene: Scene, facts: Sequence[Sequence[Fact]]) -> list[str]:
 
 
 def _of_contact(scene: Scene, contact: int, facts: Sequence[Fact]) -> list[str]:
-    last = scene.way(contact)[-1]
-    rest = last.start if last.profile == STILL else math.inf
     windows = _windows(scene, contact)
 
     def words(f: Fact) -> tuple[str, str, str]:
-        return SIDES[f.side], _method(f), _reason(windows, rest, f)
+        return SIDES[f.side], _method(f), _reason(scene, contact, windows, f)
 
     result = []
     for (side, method, reason), run in itertools.groupby(facts, words):
@@ -75,34 +72,26 @@ def _method(f: Fact) -> str:
     return f"development in {place}"
 
 
-_SLIP = {SLIP_LEFT, SLIPS, OFFSET_AND_SLIP, PUSHED, NEGLIGIBLE}
-
-_REASONS = {
-    UNPUSHED: "nothing accelerates it",
-    NO_SLIP: "no slip",
-    SLIP_LEFT: "slip is below tolerance",
-    SLIPS: "slip",
-    NEGLIGIBLE: "slip negligible",
-    FOLLOWING: "rolling is imposed",
-}
+_SLIP = {NO_SLIP: "no slip", NEGLIGIBLE: "slip is below tolerance", SLIPS: "slip"}
 
 
-def _reason(windows: Windows, rest: float, f: Fact) -> str:
-    """Why; rest: when the contact begins to rest after its legs, s."""
+def _reason(scene: Scene, contact: int, windows: Windows, f: Fact) -> str:
+    on_finger, last = SIDES[f.side] == "finger", scene.way(contact)[-1]
     if f.reason == PUSHED:
         return _disturbances(windows, f)
-    if f.reason in (SLIPS, NEGLIGIBLE) and f.start >= rest:
+    if scene.contacts[contact].follows:
+        confirms = "; integrated even where a closed form is known, to confirm it"
+        return "rolling is imposed" + confirms * on_finger
+    if f.offset:
+        why = _disturbances(windows, f) + ", slip" * (f.reason == SLIPS)
+    elif f.reason != NO_SLIP and last.profile == STILL and f.start >= last.start:
         return "the contact rests"
-    if f.reason in (OFFSET, OFFSET_AND_SLIP):
-        why = _disturbances(windows, f) + ", slip" * (f.reason == OFFSET_AND_SLIP)
     else:
-        why = _REASONS[f.reason]
-    if f.kind == LINE and f.reason in (SLIPS, OFFSET_AND_SLIP):
-        return why + ("; a developable surface" if f.panels else " negligible")
-    if f.reason == FOLLOWING and SIDES[f.side] == "finger":
-        return why + "; integrated even where a closed form is known, to confirm it"
+        why = "nothing accelerates it" if on_finger else _SLIP[f.reason]
+    if f.kind == LINE and f.panels:
+        return why + "; a developable surface"
     if f.kind == PANELS and f.by_length:
-        why += "; no closed form on this surface"
+        return why + "; no closed form on this surface"
     return why
 
 
@@ -137,8 +126,8 @@ def _skipped(facts: Sequence[Fact]) -> list[str]:
         notes.append("all integration")
     elif all(map(in_closed_form, fingers)):
         notes.append("integration of the finger")
-    if not any(f.reason in _SLIP for f in objects):
-        if any(f.reason == OFFSET for f in objects):
+    if all(f.reason == NO_SLIP for f in objects):
+        if any(f.offset for f in objects):
             notes.append("gain (slip comes from rate offsets alone, and ends with them)")
         else:
             notes.append("slip and gain (there is no slip)")
