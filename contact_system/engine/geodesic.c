@@ -133,7 +133,7 @@ static int settle(lines_t *g, int i, double error, int64_t tries) {
   /* After 64 brief steps the shortest is twice as long, and so on: it may be too short to change
      the last digit of x. */
   const int brief = g->brief[i];
-  const int shortest = g->step[i] <= LEAST_STEP * (1 << brief / 64) || brief > MOST_BRIEF;
+  const int shortest = brief > MOST_BRIEF || g->step[i] <= LEAST_STEP * (1 << brief / 64);
   const double allowed = brief > MOST_BRIEF ? EASY
                          : shortest         ? fmax(JUMP / g->tolerance, 1.0)
                                             : 1.0;
