@@ -112,10 +112,10 @@ class Steer(Structure):
 _CALLS: dict[str, Any] = {
     "plan": ctypes.CFUNCTYPE(c_void_p, c_void_p, c_int64, c_void_p, POINTER(Failure)),
     "drop": ctypes.CFUNCTYPE(None, c_void_p),
-    # PYFUNCTYPE keeps Python's lock, as this changes the plan, which other threads may evaluate
+    # PYFUNCTYPE keeps Python's lock: these change the plan, which other threads may evaluate
     "anchor": ctypes.PYFUNCTYPE(c_int32, c_void_p, c_void_p, POINTER(Failure)),
     "evaluate": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, POINTER(Failure)),
-    "moments": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
+    "moments": ctypes.PYFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
     "facts": ctypes.CFUNCTYPE(c_int64, c_void_p, c_int64, c_int64, POINTER(Fact)),
     "run": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, c_void_p),
     # PYFUNCTYPE again: these take a microsecond, after which threads should not wait for the lock

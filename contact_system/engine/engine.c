@@ -76,8 +76,8 @@ static int leave(work_t *w) {
 }
 
 static int anchor(plan_t *plan, double *const *out, failure_t *failure) {
-  int needed = !out;
-  for (int k = 0; k < N_IN_FRAMES; k++) needed |= out && out[IN_FRAMES[k].output];
+  int needed = 0;
+  for (int k = 0; k < N_IN_FRAMES; k++) needed |= out[IN_FRAMES[k].output] != NULL;
   if (!needed) return NO_FAILURE;
   work_t own, *const w = enter(plan, &own, failure);
   if (setjmp(w->jump) == 0)
@@ -109,7 +109,7 @@ static int evaluate_at(plan_t *plan, double t, double *const *out, failure_t *fa
   return evaluate(plan, 1, &t, out, failure);
 }
 
-static int moments(const plan_t *plan, double t, double *out, failure_t *failure) {
+static int moments(plan_t *plan, double t, double *out, failure_t *failure) {
   work_t own, *const w = enter(plan, &own, failure);
   if (setjmp(w->jump) == 0)
     for (int64_t i = 0; i < plan->n_contacts; i++)

@@ -188,13 +188,12 @@ typedef struct {
   plan_t *(*plan)(const double *scene, int64_t size, const surface_t *const *surfaces,
                   failure_t *failure);
   void (*drop)(plan_t *plan);
-  /* finds the branches of charts: before `evaluate`, if `out` asks for results in contact frames;
-     with NULL, before `moments` */
+  /* finds the branches of charts: before `evaluate`, if `out` asks for results in contact frames */
   int (*anchor)(plan_t *plan, double *const *out, failure_t *failure);
   /* out[output][contact][row][time], NULL where not asked for */
   int (*evaluate)(const plan_t *plan, int64_t n, const double *t, double *const *out,
                   failure_t *failure);
-  int (*moments)(const plan_t *plan, double t, double *out, failure_t *failure);
+  int (*moments)(plan_t *plan, double t, double *out, failure_t *failure);
   int64_t (*facts)(const plan_t *plan, int64_t contact, int64_t room, fact_t *out);
   /* a table at n points, in[n_in][n] and out[n_out][n]; constants[n_const] */
   int (*run)(const table_t *table, int64_t n, const double *in, const double *constants,

@@ -217,7 +217,6 @@ class Motion:
     def moments(self, t: float) -> list[Moment]:
         """The state of every contact's moving frames at time t."""
         rows = np.empty((self._count, MOMENT))
-        self._call(binding.anchor, None)
         self._call(binding.moments, t, address(rows))
         found = []
         for contact, row in zip(self.scene.contacts, rows.tolist()):
