@@ -1,6 +1,6 @@
 """Disturbances of contacts: one class for each kind.
 
-Each kind adds to one of the inputs of a contact, its slot (engine/motion.c reads them).
+Each kind adds to one of the inputs of a contact, its slot (engine/rates.c reads them).
 """
 
 from __future__ import annotations
