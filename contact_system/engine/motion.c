@@ -28,10 +28,11 @@ typedef struct {
   int known;
 } step_t;
 
-/* Length of a first panel: ln(decay) falls by `fall` at most in it, and by no more at the rate of
-   its start. */
-static double first_step(const motion_t *m, double wide, double fall) {
+/* Length of a first panel: ln(decay) falls by FALL at most in it, and by no more at the rate of its
+   start; `wide` times as much at a greater tolerance than 1e-12. */
+static double first_step(const motion_t *m, double wide) {
   const drive_t *d = m->track->drive;
+  const double fall = FALL * wide;
   double h = fmin(m->first * wide, m->length);
   if (m->slip <= 0) return h;
   h = fmin(h, fall / gain_at(d, 0.0));
@@ -81,9 +82,9 @@ __attribute__((noinline)) static double sweep(work_t *w, const motion_t *m, doub
                                               const nodes_t *at, lanes_t x, lanes_t *at_f) {
   double y[MAX_STATES][L], g[L], change = 0.0, none = 0.0;
   const lanes_t f = *at_f = rates(w, m, at, x, *at_f);
-  combine(gauss_integral[0], L, m->n, f[0], L, m->state, half, y[0], L);
+  combine(gauss_integral[0], L, m->n, f[0], m->state, half, y[0], L);
   for (int64_t s = m->n - 2; s < m->n && has_v(m); s++) {
-    combine(at->inverse[0], L, 1, y[s], L, NULL, 1.0, g, L);
+    combine(at->inverse[0], L, 1, y[s], NULL, 1.0, g, L);
     EACH_LANE(i) y[s][i] = g[i], f[s][i] -= at->lam[i] * g[i];
   }
   double worst[L];
@@ -134,7 +135,7 @@ static void series_through(const double *start, lanes_t v, double *out) {
   double rise[2][L];
   for (int a = 0; a < 2; a++)
     EACH_LANE(i) rise[a][i] = v[a][i] - start[a];
-  combine(gauss_through[0], L, 2, rise[0], L, NULL, 1.0, out, TERMS);
+  combine(gauss_through[0], L, 2, rise[0], NULL, 1.0, out, TERMS);
   for (int a = 0; a < 2; a++) {
     out[a * TERMS] += start[a];
     out[a * TERMS + L] = dot(gauss_through_top, rise[a]);
@@ -146,7 +147,7 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
                           double *out, double *end) {
   const track_t *k = m->track;
   double error = 0.0;
-  combine(gauss_series[0], L, m->n, f[0], L, NULL, half, out, TERMS);
+  combine(gauss_series[0], L, m->n, f[0], NULL, half, out, TERMS);
   for (int64_t r = 0; r < m->n; r++) {
     double *o = out + r * TERMS;
     o[L] = half * dot(gauss_top, f[r]), o[0] += m->state[r];
@@ -329,7 +330,7 @@ static void count_panel(work_t *w) {
 static panels_t integrate(work_t *w, motion_t *m, double tolerance) {
   m->tolerance = fmax(0.1 * fmin(tolerance, COARSE), ROUNDING);
   const double wide = pow(m->tolerance / 1e-13, 1.0 / (double)L); /* than at a tolerance of 1e-12 */
-  step_t s = {.h = first_step(m, wide, FALL * wide)};
+  step_t s = {.h = first_step(m, wide)};
   const size_t size = (size_t)m->n * TERMS; /* of a panel's series */
   size_t count = 0;
   double mark = 0.0;

@@ -1,6 +1,6 @@
 /* Motions as Chebyshev series, and sums over lanes. */
 
-INLINE void combine_some(const double *q, int64_t terms, int rows, const double *f, int64_t f_row,
+INLINE void combine_some(const double *q, int64_t terms, int rows, const double *f,
                          const double *start, double half, double *y, int64_t y_row) {
   wide_t sum[2][PARTS];
   UNROLLED(r, rows)
@@ -8,7 +8,7 @@ INLINE void combine_some(const double *q, int64_t terms, int rows, const double 
   for (int64_t j = 0; j < terms; j++) {
     UNROLLED(p, PARTS) {
       const wide_t part = *(const wide_t *)(q + j * L + p * WIDE);
-      UNROLLED(r, rows) sum[r][p] += f[r * f_row + j] * part;
+      UNROLLED(r, rows) sum[r][p] += f[r * terms + j] * part;
     }
   }
   UNROLLED(r, rows)
@@ -16,15 +16,15 @@ INLINE void combine_some(const double *q, int64_t terms, int rows, const double 
       *(wide_t *)(y + r * y_row + p * WIDE) = (start ? start[r] : 0.0) + half * sum[r][p];
 }
 
-/* y[r] = start[r] + half sum_j f[r][j] q[j], q[terms][L]; start may be NULL. By pairs of rows, for
-   which sums and a row of q fit into 16 registers. */
-static void combine(const double *q, int64_t terms, int64_t rows, const double *f, int64_t f_row,
+/* y[r] = start[r] + half sum_j f[r][j] q[j], f[rows][terms], q[terms][L]; start may be NULL. By
+   pairs of rows, for which sums and a row of q fit into 16 registers. */
+static void combine(const double *q, int64_t terms, int64_t rows, const double *f,
                     const double *start, double half, double *y, int64_t y_row) {
   for (; rows >= 2; rows -= 2) {
-    combine_some(q, terms, 2, f, f_row, start, half, y, y_row);
-    f += 2 * f_row, y += 2 * y_row, start = start ? start + 2 : start;
+    combine_some(q, terms, 2, f, start, half, y, y_row);
+    f += 2 * terms, y += 2 * y_row, start = start ? start + 2 : start;
   }
-  if (rows) combine_some(q, terms, 1, f, f_row, start, half, y, y_row);
+  if (rows) combine_some(q, terms, 1, f, start, half, y, y_row);
 }
 
 /* Rows of a panel's series at places xi in [-1, 1] */
@@ -33,7 +33,7 @@ static void series_at(const double *c, int64_t rows, const double *xi, lanes_t y
   for (int i = 0; i < L; i++) t[0][i] = 1.0, t[1][i] = xi[i];
   for (int k = 2; k < TERMS; k++)
     EACH_LANE(i) t[k][i] = 2.0 * xi[i] * t[k - 1][i] - t[k - 2][i];
-  combine(t[0], TERMS, rows, c, TERMS, NULL, 1.0, y[0], L);
+  combine(t[0], TERMS, rows, c, NULL, 1.0, y[0], L);
 }
 
 /* Of L numbers, in eight sums whatever the vectors' width: the same bits on all processors */
