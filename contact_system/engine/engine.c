@@ -78,9 +78,7 @@ static int leave(work_t *w) {
 }
 
 static int anchor(plan_t *plan, double *const *out, failure_t *failure) {
-  int needed = 0;
-  for (int k = 0; k < N_IN_FRAMES; k++) needed |= out[IN_FRAMES[k].output] != NULL;
-  if (!needed) return NO_FAILURE;
+  if (!(needs_of(out) & IN_FRAMES)) return NO_FAILURE;
   work_t own, *const w = enter(plan, &own, failure);
   if (setjmp(w->jump) == 0)
     for (contact_t *c = plan->contacts; c < plan->contacts + plan->n_contacts; c++)
@@ -98,7 +96,7 @@ static int evaluate(const plan_t *plan, int64_t n, const double *t, double *cons
   if (setjmp(w->jump) == 0)
     for (int64_t i = 0; i < plan->n_contacts; i++) {
       double *to[N_OUTPUTS];
-      for (int k = 0; k < N_OUTPUTS; k++) to[k] = out[k] ? out[k] + i * OUTPUT_ROWS[k] * n : NULL;
+      for (int k = 0; k < N_OUTPUTS; k++) to[k] = out[k] ? out[k] + i * RESULTS[k].rows * n : NULL;
       evaluate_contact(w, plan->contacts + i, n, t, to);
     }
   return leave(w);

@@ -10,9 +10,10 @@ static const double *start_place(const contact_t *c, int side) {
 static void usual_state(work_t *w, const track_t *k, double t, double *state) {
   const body_t *b = k->body;
   sample_t m;
+  m.w = w, m.count = 1;
   fill_lanes(m.t, t);
   m.side[b->side].track = k;
-  sample_body(w, &m, b->side, 1, NEED_STATE);
+  sample_body(&m, b->side, NEED_STATE);
   for (int j = 0; j < state_size(k->in_space); j++) state[j] = m.side[b->side].state[j][0];
   if (!moves_in_space(b->surface)) return;
   if (!k->in_space) run_body(w, b, IN_SPACE, A_START, state, state);
@@ -20,19 +21,20 @@ static void usual_state(work_t *w, const track_t *k, double t, double *state) {
 }
 
 /* Path velocities at a time */
-static void sample_at(const contact_t *c, double t, sample_t *m) {
+static void sample_at(work_t *w, const contact_t *c, double t, sample_t *m) {
+  m->w = w, m->contact = c, m->count = 1;
   m->segment = c->segments + interval(c->segment_edges, c->n_segments, t, 0);
   fill_lanes(m->t, t);
-  sample_paths(c, m);
+  sample_paths(m);
 }
 
 /* u v theta at a time; returns nonzero if they are not finite */
 static int find_place(work_t *w, const contact_t *c, const track_t *k, double t, double *place) {
   const int side = k->body->side;
   sample_t m;
-  sample_at(c, t, &m);
+  sample_at(w, c, t, &m);
   m.side[side].track = k;
-  sample_body(w, &m, side, 1, NEED_COORDINATES);
+  sample_body(&m, side, NEED_COORDINATES);
   const double (*z)[L] = m.side[side].coordinates;
   place[0] = z[U][0], place[1] = z[V][0], place[2] = z[THETA][0];
   return !(isfinite(place[0]) && isfinite(place[1]) && isfinite(place[2]));
@@ -72,9 +74,9 @@ static void require_place(work_t *w, contact_t *c, int side, int64_t which, doub
 static void moment_of(work_t *w, contact_t *c, double t, double *out) {
   sample_t m;
   double row[CONTACT_SIZE] = {0};
-  sample_at(c, t, &m);
+  sample_at(w, c, t, &m);
   row[K_ANGLE] = c->row[K_ANGLE];
-  for (int a = 0; a < 2; a++) row[K_W1 + a] = m.w[0][a][0], row[K_Y + a] = m.v[a][0];
+  for (int a = 0; a < 2; a++) row[K_W1 + a] = m.path[0][a][0], row[K_Y + a] = m.v[a][0];
   for (int side = 0; side < 2; side++) {
     const int64_t which = interval(c->track_edges[side], c->n_tracks[side], t, 0);
     const track_t *k = c->tracks[side] + which;
