@@ -87,7 +87,7 @@ class Steered(Structure):
 
     _fields_ = [
         ("geodesic", c_void_p),
-        *_each(c_double, "gauss normal_curvature"),
+        ("normal_curvature", c_double),
         ("start", c_double * 9),
         *_each(c_double * 3, "place goal"),
         ("within", c_double * 4),

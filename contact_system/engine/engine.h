@@ -160,10 +160,10 @@ typedef struct {
 
 /* one body of a contact that is steered to a goal */
 typedef struct {
-  const geodesic_t *geodesic;     /* NULL: a sphere about the origin or a plane, */
-  double gauss, normal_curvature; /* with this Gaussian and normal curvature, 1/m^2 and 1/m */
-  double start[9], place[3];      /* x p q, the contact frame; u v theta */
-  double goal[3];                 /* the contact point, if it is `wanted` */
+  const geodesic_t *geodesic; /* NULL: a sphere about the origin or a plane, */
+  double normal_curvature;    /* of this normal curvature, 1/m */
+  double start[9], place[3];  /* x p q, the contact frame; u v theta */
+  double goal[3];             /* the contact point, if it is `wanted` */
   double within[4]; /* centre and radius of a ball that the path must not leave; radius 0: none */
   int64_t wanted;
 } steered_t;

@@ -76,7 +76,7 @@ static void advance(rolled_t *r, const double *length) {
     memcpy(r->at, g->shown, sizeof r->at);
     return;
   }
-  const double k = body->gauss, root = sqrt(k);
+  const double root = fabs(body->normal_curvature), k = root * root; /* k: Gaussian curvature */
   double half[L], s[L], c[L];
   EACH_LANE(l) half[l] = 0.5 * root * length[l];
   sincos_of(half, s, c, L);

@@ -199,7 +199,7 @@ class Aim(Steer):
         data.start[:] = [*x.tolist(), *frame[:, :2].T.ravel().tolist()]
         data.goal[:] = self.goal[side][0].tolist()
         if body.chart.great_circles:
-            data.gauss, data.normal_curvature = body.size**-2, body.sign / body.size
+            data.normal_curvature = body.sign / body.size
         elif not is_plane(body):
             follower = Follower(body)
             self._followers.append(follower)
