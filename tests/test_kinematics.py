@@ -50,6 +50,14 @@ def test_twist_is_the_rate_of_the_pose(obj, finger, windows):
     assert_twist_is_the_rate_of_the_pose(plan, T, 1e-10)
 
 
+def test_twist_of_a_small_finger_keeps_its_digits_on_a_large_object():
+    contact = cs.Contact(finger=cs.Sphere(1e-3), object_at=(1, 1))
+    obj, profile = cs.Sphere(1e3), cs.Profile([0.01])
+    scene = cs.Scene(object=obj, contacts=[contact], profile=profile, duration=1)
+    speed = np.linalg.norm(cs.plan(scene).twist(T)[:, 0, 3:], axis=1)  # of the finger's centre
+    assert speed == pytest.approx(0.01 * (1 + 1e-6), rel=1e-14, abs=0)
+
+
 # --- conforming bodies
 
 

@@ -144,14 +144,15 @@ def relative_twist(
     velocities (2): a_1 and a_2 of the contact point, along (p_i, q_i), m/s; v_rel (2): slip along
     (p_2, q_2), m/s.
     """
-    x2, p2, q2 = ca.vertsplit(frames[1], [0, 3, 6, 9])
+    _, p2, q2 = ca.vertsplit(frames[1], [0, 3, 6, 9])
     k1, k2 = (symmetric(*ca.vertsplit(k)) for k in shapes)
     # Montana's inverse map, (-omega_y, omega_x) in the frame of K_2: Montana, Int. J. Robotics
     # Research 7(3), 1988
     rolling = k2 @ velocities[1] + r0 @ (k1 @ velocities[0])
     omega = rolling[0] * q2 - rolling[1] * p2
     sliding = v_rel[0] * p2 + v_rel[1] * q2
-    arm = x2 - relative_pose(*frames, r0)[1]  # from the finger's origin to the contact
+    # from the finger's origin to the contact; x2 less the origin would lose digits far out
+    arm = relative_pose(*frames, r0)[0] @ frames[0][:3]
     return omega, -sliding - ca.cross(omega, arm)
 
 
