@@ -6,11 +6,13 @@ from .base import SINGULAR, Surface, run_in_space
 from .charts import TINY, TURN
 from .cylinder import Cylinder
 from .ellipsoid import Ellipsoid
+from .formula import UserSurface
+from .implicit import ImplicitSurface
+from .parametric import ParametricSurface
 from .plane import Plane
 from .quadric import Quadric
 from .sphere import Sphere
 from .torus import Torus
-from .user import ImplicitSurface, ParametricSurface, UserSurface
 
 KINDS: dict[str, type[Surface]] = {
     name.removesuffix("Surface").lower(): found

@@ -1,7 +1,7 @@
-"""A user's formula of a surface, a Python function or text, converted to data.
+"""Surfaces given by a user's formula, a Python function or text, which is converted to data.
 
 A function is called only once, with symbols. Named parameters stay symbols, so that changing one
-needs no new tables.
+needs no new tables. Tables are made from the formula at first use.
 """
 
 from __future__ import annotations
@@ -11,16 +11,17 @@ import math
 import unicodedata
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ..checks import finite_number, of_kind, one_of
-from ..errors import SurfaceError
+from ..errors import ContactSystemError, SurfaceError
 from ..expressions import FUNCTIONS, parse
 from ..theory import symbols as ca
-from ..theory.symbols import immediate_ctrl_c
+from ..theory.symbols import immediate_ctrl_c, making_symbols
+from .base import Surface, positive_length, store
 
 
 @dataclass(frozen=True, repr=False)
@@ -53,6 +54,43 @@ class Formula:
 
             text = f"<function {hashlib.sha256(self.code.encode()).hexdigest()[:12]}>"
         return f"{text}, parameters={self.named}" if self.names else text
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class UserSurface(Surface):
+    """Base class of surfaces given by a formula."""
+
+    panel_limit: ClassVar[float] = 2.0  # short panels, as the surface may have bumps anywhere
+    formula: Formula
+    size: float = field(default=1.0, kw_only=True)
+
+    def __init__(
+        self, letters: str, definition: Any, formula: Any, parameters: Any, size: Any, inside: Any
+    ) -> None:
+        """Check and store the arguments that both kinds share; ``letters``: "uv" or "xyz"."""
+        super().__init__(inside=inside)
+        if definition is not None and formula is not None:
+            raise SurfaceError(f"{self._kind}: f or F and formula are both given; give one of them")
+        try:
+            with making_symbols():
+                formula = make_formula(
+                    definition if formula is None else formula, parameters, letters
+                )
+        except ContactSystemError as error:
+            raise SurfaceError(f"{self._kind}: {error}") from error.__cause__
+        store(self, formula=formula, size=positive_length(self, "size", size))
+
+    @property
+    def named_parameters(self) -> dict[str, float]:
+        """The parameters of the formula by name."""
+        return self.formula.named
+
+    def parameter_names(self, first: int = 0) -> tuple[str, ...]:
+        return self.formula.names
+
+    @property
+    def structure(self) -> tuple[type, type | str]:
+        return (type(self), self.formula.code)
 
 
 def make_formula(formula: Any, parameters: Any, letters: str) -> Formula:
