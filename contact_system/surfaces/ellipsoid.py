@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 from ..caching import cached_property
 from ..errors import SurfaceError
 from ..theory import symbols as ca
+from ..theory.geometry import contact_frame
 from .base import OfLengths
 from .charts import TINY, TURN, Angle, Chart, Frame, Pair, choose, fold_latitude, hypot, wrap_angle
 from .sphere import PolarChart
@@ -57,8 +58,8 @@ class JacobiChart(Chart):
         )
 
     def circular(self, x: ca.SX) -> tuple[ca.SX, ...]:
-        r"""Return (sin u, cos u, sin v, cos v), cos v >= 0, and k'^2 sin^2 u + k^2 cos^2 v,
-        sqrt(k^2 + k'^2 sin^2 u), sqrt(k'^2 + k^2 cos^2 v).
+        r"""Return sin u, cos u, sin v, cos v >= 0, sqrt(k^2 + k'^2 sin^2 u) and
+        sqrt(k'^2 + k^2 cos^2 v).
 
         (X, Y, Z) = (x/a, y/b, z/c) is a point of the unit sphere in sphero-conal coordinates.
         alpha = k'^2 sin^2 u and beta = k^2 cos^2 v have the difference
@@ -83,7 +84,7 @@ class JacobiChart(Chart):
         root_beta = ca.if_else(alpha_leads, smaller, greater)
         root_u, root_v = ca.sqrt(k2 + root_alpha**2), ca.sqrt(l2 + root_beta**2)
         sin_u, cos_u = ca.copysign(root_alpha / l1, ys), xs / root_v
-        return sin_u, cos_u, zs / root_u, root_beta / k, total, root_u, root_v
+        return sin_u, cos_u, zs / root_u, root_beta / k, root_u, root_v
 
     def coordinates(self, x: ca.SX) -> Pair:
         sin_u, cos_u, sin_v, cos_v, *_ = self.circular(x)
@@ -91,17 +92,14 @@ class JacobiChart(Chart):
 
     def frame(self, x: ca.SX) -> Frame:
         a, b, c = self.a, self.b, self.c
-        sin_u, cos_u, sin_v, cos_v, total, root_u, root_v = self.circular(x)
-        # h_u^2 = (k'^2 sin^2 u + k^2 cos^2 v)(a^2 sin^2 u + b^2 cos^2 u)/(k^2 + k'^2 sin^2 u).
-        h_u = ca.sqrt(total * ((a * sin_u) ** 2 + (b * cos_u) ** 2)) / root_u
-        h_v = ca.sqrt(total * ((b * sin_v) ** 2 + (c * cos_v) ** 2)) / root_v
+        sin_u, cos_u, sin_v, cos_v, root_u, root_v = self.circular(x)
         f_u = ca.vertcat(
             -a * sin_u * root_v, b * cos_u * cos_v, c * sin_v * self.l2 * sin_u * cos_u / root_u
         )
         f_v = ca.vertcat(
             -a * cos_u * self.k2 * cos_v * sin_v / root_v, -b * sin_u * sin_v, c * cos_v * root_u
         )
-        return f_u / h_u, f_v / h_v, ca.diag(ca.vertcat(h_u, h_v))
+        return contact_frame(f_u, f_v, orthogonal=True)
 
     @classmethod
     def wrap(cls, u: Angle, v: Angle) -> tuple[Angle, Angle]:
@@ -109,7 +107,7 @@ class JacobiChart(Chart):
         return wrap_angle(choose(beyond, -u, u)), v
 
     def floor(self, u: float, v: float) -> float:
-        # h_u >= b sqrt(total) and h_v >= c sqrt(total), see `frame`.
+        # h_u is at least b times this root, h_v at least c times it
         return self.c * math.sqrt(self.l2 * math.sin(u) ** 2 + self.k2 * math.cos(v) ** 2)
 
 
