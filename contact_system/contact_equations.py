@@ -180,6 +180,39 @@ def _frame_motion(
     )
 
 
+def _outputs(
+    motion: ContactMotion, t: ca.SX, x: ca.SX, w: ca.SX, sigma: ca.SX, slope: ca.SX, lam: ca.SX
+) -> dict[str, ca.SX]:
+    """The outputs that `SceneSystem.function` lists for each contact."""
+    rate, state, (tip, body), velocities, turn, sliding, theta, carried = motion
+    frames = tip.call("frame"), body.call("frame")
+    shapes = tip.call("shape"), body.call("shape")
+
+    def derivative(value: ca.SX) -> ca.SX:
+        """d/dt along the motion; disturbances are constant between edges."""
+        return ca.jtimes(value, x, rate) + ca.jtimes(value, t, ca.SX(1))
+
+    twist = ca.vertcat(*relative_twist(frames, shapes, velocities, turn, sliding))
+    (x1, _), (x2, tangents) = (ca.vertsplit(frame, [0, 3, 9]) for frame in frames)
+    normal = ca.cross(tangents[:3], tangents[3:])
+    pushed = tip.call("vector", w[:2]), body.call("vector", w[2:4])
+    return {
+        "derivatives": rate,
+        "state": state,
+        "slip": rotation(theta) @ sliding,
+        "slip_acceleration": rotation(theta)
+        @ slip_acceleration(carried[2:], sigma, slope, lam, turn, *pushed),
+        "twist": twist,
+        "acceleration": derivative(twist),
+        "pose": ca.vertcat(*map(ca.vec, relative_pose(*frames, turn))),
+        "contact_point": ca.vertcat(x1, x2),
+        "normal": normal,
+        "normal_rate": derivative(normal),
+        "carried": carried,
+        "regularity": ca.vertcat(tip.regularity(), body.regularity()),
+    }
+
+
 @per_structure
 def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     """Derivatives and outputs of one contact; see `SceneSystem.function`.
@@ -207,33 +240,7 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
             decay = _decay(form, law[0], profile, held[4], t)
             carried = ca.vertcat(held[:2], held[2:4] * decay)
         motion = _frame_motion(tip, body, form, x, w, sigma, lam, carried)
-    rate, state, (tip, body), velocities, turn, sliding, theta, carried = motion
-    frames = tip.call("frame"), body.call("frame")
-    shapes = tip.call("shape"), body.call("shape")
-
-    def derivative(value: ca.SX) -> ca.SX:
-        """d/dt along the motion; disturbances are constant between edges."""
-        return ca.jtimes(value, x, rate) + ca.jtimes(value, t, ca.SX(1))
-
-    twist = ca.vertcat(*relative_twist(frames, shapes, velocities, turn, sliding))
-    (x1, _), (x2, tangents) = (ca.vertsplit(frame, [0, 3, 9]) for frame in frames)
-    normal = ca.cross(tangents[:3], tangents[3:])
-    pushed = tip.call("vector", w[:2]), body.call("vector", w[2:4])
-    outputs = {
-        "derivatives": rate,
-        "state": state,
-        "slip": rotation(theta) @ sliding,
-        "slip_acceleration": rotation(theta)
-        @ slip_acceleration(carried[2:], sigma, slope, lam, turn, *pushed),
-        "twist": twist,
-        "acceleration": derivative(twist),
-        "pose": ca.vertcat(*map(ca.vec, relative_pose(*frames, turn))),
-        "contact_point": ca.vertcat(x1, x2),
-        "normal": normal,
-        "normal_rate": derivative(normal),
-        "carried": carried,
-        "regularity": ca.vertcat(tip.regularity(), body.regularity()),
-    }
+    outputs = _outputs(motion, t, x, w, sigma, slope, lam)
     inputs = {"t": t, "x": x, "w": w, "held": held, "law": law, "p1": numbers[0], "p2": numbers[1]}
     values = [ca.densify(value) for value in ca.cse(list(outputs.values()))]
     return ca.Function("contact", [*inputs.values()], values, [*inputs], [*outputs])
