@@ -177,9 +177,8 @@ def relative_curvature(shape_1: Any, shape_2: Any, r: Any) -> Any:
 
 
 def solve_plane(a: ca.SX, b: ca.SX) -> ca.SX:
-    """Solve A x = b by Cramer's rule for 2x2."""
-    adjugate = ca.vertcat(ca.horzcat(a[1, 1], -a[0, 1]), ca.horzcat(-a[1, 0], a[0, 0]))
-    return adjugate @ b / (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
+    """Solve A x = b by Cramer's rule."""
+    return ca.adj(a) @ b / ca.det(a)
 
 
 # --- functions of a contact for the engine -------------------------------------------------------
