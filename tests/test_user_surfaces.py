@@ -149,6 +149,13 @@ def test_coordinates_of_a_point_off_a_parametric_surface_are_refused():
         PARAMETRIC.coordinates([[0.13, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
+def test_nearest_points_of_a_parametric_surface_are_found_from_any_distance():
+    u, v = np.meshgrid(np.linspace(-3, 3, 7), np.linspace(-1.2, 1.2, 5))
+    for far in (0.0, 0.01, 1.0, 100.0):
+        *place, _ = PARAMETRIC.nearest(PARAMETRIC.point(u, v) + far * PARAMETRIC.normal(u, v))
+        assert np.allclose(place, (u, v), atol=1e-6)
+
+
 # --- formulas as text: what they mean, and that anything else is refused
 
 

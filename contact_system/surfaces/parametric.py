@@ -173,8 +173,8 @@ class ParametricSurface(UserSurface):
     def nearest(self, x: ArrayLike) -> tuple[Array, Array, Array]:
         """Return (u, v) of the surface's points nearest to points (..., 3), and the distances, m.
 
-        Gauss-Newton on the distance, from the nearest points of a grid over u_range and v_range. A
-        distance is infinite or NaN if no point is found.
+        Newton's method on the distance, from the nearest points of a grid over u_range and v_range.
+        A distance is infinite or NaN if no point is found.
         """
         points = self._points(x)
         flat = points.reshape(-1, 3)
@@ -201,17 +201,22 @@ class ParametricSurface(UserSurface):
         return [(grid_u[k], grid_v[k]) for k in np.reshape(nearest, (-1, TRIES)).astype(int).T]
 
     def _descend(self, target: Array, u: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Gauss-Newton with step halving; returns u, v and the distance left, each (n,)."""
+        """Newton's method with step halving; returns u, v and the distance left, each (n,)."""
         offset = target - self.point(u, v)
         miss = np.linalg.norm(offset, axis=1)
         fraction = np.ones(len(u))
         for _ in range(60):
-            frame, m = self._evaluate(u, v, "frame", "metric_root")
-            ahead = np.einsum("nik,ni->nk", frame[..., :2], offset)
+            frame, m, k = self._evaluate(u, v, "frame", "metric_root", "curvature_form")
+            along = np.einsum("nik,ni->nk", frame, offset)
+            ahead, height = along[:, :2], along[:, 2, None, None]
             if np.all(np.abs(ahead) <= np.finfo(float).eps * self.size):
                 break
-            step_v = ahead[:, 1] / m[:, 1, 1]
-            step_u = (ahead[:, 0] - m[:, 0, 1] * step_v) / m[:, 0, 0]
+            lifted = np.eye(2) + height * k
+            rising = (np.linalg.det(lifted) > 0) & (lifted[:, 0, 0] > 0)
+            lifted[~rising] = np.eye(2)  # beyond a centre of curvature: Gauss-Newton's step
+            step = np.linalg.solve(lifted, ahead[..., None])
+            step_v = step[:, 1, 0] / m[:, 1, 1]
+            step_u = (step[:, 0, 0] - m[:, 0, 1] * step_v) / m[:, 0, 0]
             trial_u, trial_v = u + fraction * step_u, v + fraction * step_v
             trial_offset = target - self.point(trial_u, trial_v)
             trial_miss = np.linalg.norm(trial_offset, axis=1)
