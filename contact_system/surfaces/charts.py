@@ -23,11 +23,6 @@ TURN = 2.0 * math.pi
 TINY = 1e-300  # replaces a zero denominator where the quotient is not used
 
 
-def hypot(a: ca.SX | float, b: ca.SX | float) -> ca.SX:
-    """Return sqrt(a^2 + b^2)."""
-    return ca.sqrt(a * a + b * b)
-
-
 def choose(condition: Any, a: Any, b: Any) -> Any:
     """Return a where the condition holds, else b, for numbers and arrays."""
     return np.where(condition, a, b) if isinstance(condition, np.ndarray) else a if condition else b

@@ -15,7 +15,7 @@ from ..errors import SurfaceError
 from ..theory import symbols as ca
 from ..theory.geometry import contact_frame
 from .base import OfLengths
-from .charts import TINY, TURN, Angle, Chart, Frame, Pair, choose, fold_latitude, hypot, wrap_angle
+from .charts import TINY, TURN, Angle, Chart, Frame, Pair, choose, fold_latitude, wrap_angle
 from .sphere import PolarChart
 
 THINNEST = 1e-6
@@ -75,7 +75,7 @@ class JacobiChart(Chart):
         from_x = (l1 - ca.fabs(xs)) * (l1 + ca.fabs(xs)) - k2 * ys**2
         difference = ca.if_else(k2 < l2, from_z, from_x)
         half_product = k * l1 * ca.fabs(ys)
-        total = hypot(difference, 2 * half_product)
+        total = ca.hypot(difference, 2 * half_product)
         greater = ca.sqrt((ca.fabs(difference) + total) / 2)
         # Both vanish at an umbilic. If squares underflow, the minimum keeps the root <= `greater`.
         smaller = ca.fmin(half_product / ca.fmax(greater, TINY), greater)
@@ -125,14 +125,14 @@ class OblateChart(Chart):
 
     def coordinates(self, x: ca.SX) -> Pair:
         a, c = self.p[0], self.p[1]
-        return ca.atan2(x[1], x[0]), ca.atan2(x[2] / c, hypot(x[0], x[1]) / a)
+        return ca.atan2(x[1], x[0]), ca.atan2(x[2] / c, ca.hypot(x[0], x[1]) / a)
 
     def frame(self, x: ca.SX) -> Frame:
         a, c = self.p[0], self.p[1]
-        rho = hypot(x[0], x[1])
+        rho = ca.hypot(x[0], x[1])
         cos_u, sin_u = x[0] / rho, x[1] / rho
         outward, upward = -a * x[2] / c, c * rho / a
-        h_v = hypot(outward, upward)
+        h_v = ca.hypot(outward, upward)
         y_axis = ca.vertcat(outward * cos_u, outward * sin_u, upward) / h_v
         return ca.vertcat(-sin_u, cos_u, 0), y_axis, ca.diag(ca.vertcat(rho, h_v))
 
@@ -156,14 +156,14 @@ class ProlateChart(PolarChart):
 
     def coordinates(self, x: ca.SX) -> Pair:
         a, b = self.p[0], self.p[1]
-        return ca.atan2(hypot(x[1], x[2]) / b, x[0] / a), ca.atan2(x[2], x[1])
+        return ca.atan2(ca.hypot(x[1], x[2]) / b, x[0] / a), ca.atan2(x[2], x[1])
 
     def frame(self, x: ca.SX) -> Frame:
         a, b = self.p[0], self.p[1]
-        rho = hypot(x[1], x[2])
+        rho = ca.hypot(x[1], x[2])
         cos_v, sin_v = x[1] / rho, x[2] / rho
         axial, radial = -a * rho / b, b * x[0] / a
-        h_u = hypot(axial, radial)
+        h_u = ca.hypot(axial, radial)
         x_axis = ca.vertcat(axial, radial * cos_v, radial * sin_v) / h_u
         return x_axis, ca.vertcat(0, -sin_v, cos_v), ca.diag(ca.vertcat(h_u, rho))
 

@@ -16,7 +16,7 @@ from ..errors import SurfaceError
 from ..theory import symbols as ca
 from ..theory.geometry import ChartGeometry, contact_frame, tangent_geometry
 from .base import store
-from .charts import TURN, Chart, Frame, Pair, hypot
+from .charts import TURN, Chart, Frame, Pair
 from .formula import Formula, UserSurface
 from .sphere import PolarChart
 
@@ -115,7 +115,7 @@ class ImplicitSurface(UserSurface):
         """Return (f_u, f_v) of the central projection as fields of the point x."""
         side, p = numbers[0], numbers[1:]
         ray = x - p[:3]
-        rho, s = ca.norm_2(ray), hypot(ray[0], ray[1])
+        rho, s = ca.norm_2(ray), ca.hypot(ray[0], ray[1])
         direction = ray / rho
         d_u = ca.vertcat(ray[0] * ray[2] / s, ray[1] * ray[2] / s, -s) / rho
         d_v = ca.vertcat(-ray[1], ray[0], 0) / rho

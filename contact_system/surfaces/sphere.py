@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from ..theory import symbols as ca
 from .base import OfLengths
-from .charts import TURN, Angle, Chart, Frame, Pair, choose, hypot, wrap_angle
+from .charts import TURN, Angle, Chart, Frame, Pair, choose, wrap_angle
 
 
 class PolarChart(Chart):
@@ -25,10 +25,10 @@ class PolarChart(Chart):
         return ca.vertcat(rho * ca.cos(v), rho * ca.sin(v), self.p[0] * ca.cos(u))
 
     def coordinates(self, x: ca.SX) -> Pair:
-        return ca.atan2(hypot(x[0], x[1]), x[2]), ca.atan2(x[1], x[0])
+        return ca.atan2(ca.hypot(x[0], x[1]), x[2]), ca.atan2(x[1], x[0])
 
     def frame(self, x: ca.SX) -> Frame:
-        r, rho = self.p[0], hypot(x[0], x[1])
+        r, rho = self.p[0], ca.hypot(x[0], x[1])
         cos_v, sin_v, cos_u = x[0] / rho, x[1] / rho, x[2] / r
         x_axis = ca.vertcat(cos_u * cos_v, cos_u * sin_v, -rho / r)
         return x_axis, ca.vertcat(-sin_v, cos_v, 0), ca.diag(ca.vertcat(r, rho))

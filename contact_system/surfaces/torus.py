@@ -9,7 +9,7 @@ from typing import ClassVar
 from ..errors import SurfaceError
 from ..theory import symbols as ca
 from .base import OfLengths
-from .charts import TURN, Chart, Frame, Pair, hypot
+from .charts import TURN, Chart, Frame, Pair
 
 
 class TorusChart(Chart):
@@ -24,10 +24,10 @@ class TorusChart(Chart):
         return ca.vertcat(rho * ca.cos(u), rho * ca.sin(u), self.p[1] * ca.sin(v))
 
     def coordinates(self, x: ca.SX) -> Pair:
-        return ca.atan2(x[1], x[0]), ca.atan2(x[2], hypot(x[0], x[1]) - self.p[0])
+        return ca.atan2(x[1], x[0]), ca.atan2(x[2], ca.hypot(x[0], x[1]) - self.p[0])
 
     def frame(self, x: ca.SX) -> Frame:
-        rho = hypot(x[0], x[1])
+        rho = ca.hypot(x[0], x[1])
         cos_u, sin_u = x[0] / rho, x[1] / rho
         cos_v, sin_v = (rho - self.p[0]) / self.p[1], x[2] / self.p[1]
         y_axis = ca.vertcat(-sin_v * cos_u, -sin_v * sin_u, cos_v)
@@ -69,4 +69,4 @@ class Torus(OfLengths):
         return min(self.minor, math.sqrt(self.minor * (self.major - self.minor)))
 
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
-        return ((hypot(x[0], x[1]) - p[0]) ** 2 + x[2] ** 2 - p[1] ** 2) / 2
+        return ((ca.hypot(x[0], x[1]) - p[0]) ** 2 + x[2] ** 2 - p[1] ** 2) / 2
