@@ -7,9 +7,7 @@ and the remedy. Indices count from 0, in Python and in scene files.
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
-import operator
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -202,9 +200,7 @@ class Scene:
             a_text(getattr(self, key), key)
         for key in ("paper", "drake"):
             if (table := getattr(self, key)) != {}:
-                of_kind(Mapping, table, key, "a table")
-                with naming(key):
-                    put(self, key, {name: _plain(value, name) for name, value in table.items()})
+                put(self, key, _plain(of_kind(Mapping, table, key, "a table"), key))
         if self.drake:
             with naming("drake"):
                 refuse_scene_keys(self.drake, ("object",))
@@ -316,15 +312,16 @@ def refuse_scene_keys(table: Mapping, allowed: Iterable[str]) -> None:
             )
 
 
-def _plain(value: Any, key: Any) -> Any:
+def _plain(value: Any, key: str) -> Any:
     """A copy of a value, of types that a scene file can hold; raises if it has others."""
-    try:  # numpy's numbers and arrays have a method tolist
-        text = json.dumps(value, allow_nan=False, default=operator.methodcaller("tolist"))
-    except (TypeError, ValueError, AttributeError):
-        raise SceneError(
-            f"{key} = {value!r}: give finite numbers, texts, lists or tables of them"
-        ) from None
-    return json.loads(text)
+    value = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+    if isinstance(value, Mapping) and all(isinstance(name, str) for name in value):
+        return {name: _plain(x, f"{key}: {name}") for name, x in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(x, f"{key}[{k}]") for k, x in enumerate(value)]
+    if isinstance(value, (str, int)) or (isinstance(value, float) and math.isfinite(value)):
+        return value
+    raise SceneError(f"{key} = {value!r}: give finite numbers, texts, lists or tables of them")
 
 
 def acting(scene: Scene, t: float) -> np.ndarray:
