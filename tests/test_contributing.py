@@ -68,13 +68,15 @@ def test_under_the_examples_gain_law_slip_decays_by_its_integral(example):
     assert "lam = eta sigma," in str(plan.scene.contraction())
 
 
-def test_systems_have_a_law_that_replaces_another_of_its_name(monkeypatch):
+def test_systems_and_sweeps_have_a_law_that_replaces_another_of_its_name(monkeypatch, tmp_path):
     for power in (1, 3):
         monkeypatch.setitem(LAWS, "speed", Law("eta", "", power))
         plan = cs.plan(scene(gain=cs.Gain("speed", 30.0)))
         system = cs.SceneSystem(plan.scene, "chart")
         found = system.evaluate("slip_acceleration", 0.0, system.x0)
         assert found == pytest.approx(plan.acceleration(0.0)[0, 0], rel=1e-12)
+        table = cs.sweep([plan.scene], folder=tmp_path).table
+        assert table["slip_end"] == cs.summary(plan)["slip_end"]
 
 
 def test_the_examples_kind_of_disturbance_acts_and_is_saved_in_files(example, tmp_path):

@@ -20,7 +20,7 @@ from ..errors import ContactSystemError
 from ..files import writing
 from ..scene import Contact, Scene, scene_text
 from ..surfaces import Surface
-from ..theory.gain import Gain
+from ..theory.gain import LAWS, Gain
 from ..theory.profile import Profile
 from .chunk import Failure, Item, Part, Run
 
@@ -52,7 +52,7 @@ def digest(run: Run, first: int, items: tuple[Item, ...]) -> str:
         function = _pickled(evaluate)
     else:
         function = f"{evaluate.__module__}.{name} {_enclosed(evaluate)}".encode()
-    result = hashlib.sha256(function + f"{__version__} {tolerance!r} {first}".encode())
+    result = hashlib.sha256(function + f"{__version__} {LAWS} {tolerance!r} {first}".encode())
     for item in items:
         result.update(_content(item))
     return result.hexdigest()[:32]
