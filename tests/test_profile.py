@@ -184,12 +184,16 @@ def test_intervals_of_contraction_are_exact_where_terms_of_sigma_cancel():
 
 
 @pytest.mark.parametrize("law", [Gain.path, Gain.time])
-@pytest.mark.parametrize("c", [[0, 1], [0, 0, 1, -2, 1], [0.09, -0.6, 1]])
+@pytest.mark.parametrize("c", [[0, 1], [0, 0, 0, 1], [0, 0, 1, -2, 1], [0.09, -0.6, 1]])
 def test_no_finite_gain_contracts_throughout_where_sigma_rises_from_zero(law, c):
     report = contraction(Profile(c), law(1e6), 1)
     assert report.least_eta == math.inf
     assert not report.throughout
     assert ("starts from zero" if c[0] == 0 else "touches zero on the way") in str(report)
+    if not any(c[:-1]):  # sigma = t^n: slip shrinks from n/t = lam on
+        n = len(c) - 1
+        begins = (n / 1e6) ** (1 / (2 * n + 1) if law == Gain.path else 1)
+        assert report.intervals == (pytest.approx((begins, 1), rel=1e-12),)
 
 
 def test_slip_contracts_throughout_only_if_the_gain_exceeds_the_least_one():

@@ -262,18 +262,19 @@ def _least_gain(profile: Profile, law: Law, duration: float) -> float:
 def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[float, float], ...]:
     """Intervals on which sigma' - lam sigma < 0."""
     intervals: list[tuple[float, float]] = []
-    knots = profile.knots(0.0, duration)
-    for start, stop in zip(knots, knots[1:]):
-        # expand polynomials about the interval's middle, where cancellation is least
-        middle = 0.5 * (start + stop)
-        c, law = profile.shifted(middle), gain.row
+    knots, halves = profile.knots(0.0, duration), list[tuple[float, float, float]]()
+    for before, after in zip(knots, knots[1:]):
+        middle = 0.5 * (before + after)
+        halves += [(before, before, middle), (after, middle, after)]
+    for knot, start, stop in halves:
+        # expand polynomials about the nearest knot: sigma may be zero there, and terms cancel
+        c, law = profile.shifted(knot), gain.row
         # a law that cancels growth is here only with rho = 0: slip shrinks where sigma' < 0
         loss = () if law.cancels_growth else exact_product((-gain.value,), *[c] * (law.power + 1))
         rate = rounded(exact_product(derivative(c)), loss)
-        ends = start - middle, stop - middle
-        turns = [middle + tau for tau in sign_changes(rate, *ends)]
+        turns = [knot + tau for tau in sign_changes(rate, start - knot, stop - knot)]
         for a, b in zip([start, *turns], [*turns, stop]):
-            if clear_value(rate, 0.5 * (a + b) - middle) < 0:
+            if clear_value(rate, 0.5 * (a + b) - knot) < 0:
                 if intervals and intervals[-1][1] == a:
                     a = intervals.pop()[0]
                 intervals.append((a, b))
