@@ -190,20 +190,20 @@ def _reach(args: argparse.Namespace) -> int:
         with naming(f'--to "{text}"'):
             if goal is not None:
                 refuse_degrees(goal, scene.object, contact.finger)
-    stem = results_folder(args, scene) / f"{file_name(scene)}-reached"
+    name = f"{file_name(scene)}-reached"
     with Progress(2, "looking for legs") as progress:
         route = reach(scene, goals, seconds=args.seconds)
         progress.step("planning")
-        planned = plan(route.scene.replace(name=stem.name), args.tolerance)
+        planned = plan(route.scene.replace(name=name), args.tolerance)
     off = f"{route.residual:.1e} (in sizes, rad) off"
     tell(f"{scene.title}: {route.length:.6g} m in all, which end {off}")
     for i, legs in enumerate(route.legs):
         for k, leg in enumerate(legs):
             where = f"{scene.contact_name(i)}, leg {k + 1}"
             tell(f"{where}: direction {leg.direction:.9g} rad, length {leg.length:.9g} m")
-    path = stem.with_name(stem.name + ".toml")
-    save_scene(planned.scene, path)
-    tell(f"wrote {path}")
+    stem = results_folder(args, scene) / name
+    save_scene(planned.scene, f"{stem}.toml")
+    tell(f"wrote {stem}.toml")
     _write(args, stem, planned)
     return 0
 

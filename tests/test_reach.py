@@ -234,3 +234,5 @@ def test_the_command_reach_writes_a_scene_that_ends_at_the_goal(tmp_path, capsys
     for wrong, said in refused.items():
         assert main(["reach", str(file), "--to", wrong]) == 2
         assert said in capsys.readouterr().err
+    assert main([*arguments[:-1], str(tmp_path / "none"), "--to", to]) == 2  # one goal too many
+    assert not (tmp_path / "none").exists()
