@@ -43,7 +43,7 @@ from .contact_equations import Form, contact_function
 from .engine.binding import START, Machine, run
 from .errors import SceneError
 from .planning.starts import Moment, measured_start
-from .scene import SLOTS, Disturbance, Scene, Start, Stretch, acting, refuse_rest, require_scene
+from .scene import SLOTS, Disturbance, Scene, Start, acting, refuse_rest, require_scene
 from .scene.contact import rotated
 from .surfaces import TINY, Surface, run_in_space
 from .theory import symbols as ca
@@ -345,13 +345,11 @@ class SceneSystem:
 
     def leg_numbers(self, contact: int, t: float) -> Array:
         """Start and profile of the leg that a contact is on just after t; empty without legs."""
-        way = [stretch for stretch in self.scene.way(contact) if stretch.start <= t]
-        legs = self.scene.contacts[contact].legs
-        return self._held_of(contact, way[-1]) if legs and way else np.zeros(0)
-
-    def _held_of(self, contact: int, stretch: Stretch) -> Array:
-        c = stretch.profile.coefficients
-        return np.array([stretch.start, *c, *[0.0] * (self.forms[contact].n_profile - len(c))])
+        if not self.scene.contacts[contact].legs:
+            return np.zeros(0)
+        *_, leg = (leg for leg in self.scene.way(contact) if leg.start <= max(t, 0.0))
+        c = leg.profile.coefficients
+        return np.array([leg.start, *c, *[0.0] * (self.forms[contact].n_profile - len(c))])
 
     def turned(self, t: float, x: Array, held: Array, carried: Array) -> tuple[Array, Array]:
         """x and held after the corners at time t: (n_x,), (n_held,).
@@ -378,7 +376,7 @@ class SceneSystem:
                 if form.forced:
                     x[self.state_slices[i]][-4:] = after
                 since = [] if form.forced else [*after, 0.0]
-                held[part] = [*since, *self._held_of(i, now)]
+                held[part] = [*since, *self.leg_numbers(i, t)]
             if t in self._rests(i):
                 x[self.state_slices[i]][-2:] = 0.0
         return x, held

@@ -108,7 +108,10 @@ def test_slip_decays_by_every_gain_law_as_planned(motion, gain):
 def test_every_contact_turns_at_the_corners_of_its_own_legs():
     scene = one_contact("ellipsoid", legs=LEGS)
     both = [scene.contacts[0], dataclasses.replace(scene.contacts[0], legs=())]
-    assert error(SceneSystem(scene.replace(contacts=both)), np.linspace(0, 1, 9)) < 1e-9
+    system = SceneSystem(scene.replace(contacts=both))
+    assert error(system, np.linspace(0, 1, 9)) < 1e-9
+    _, held = system.place(-0.1, [contact.start() for contact in both])  # on the first leg
+    assert (held[5:11] == system.held0[5:11]).all()
 
 
 @pytest.mark.parametrize("name", ("C1", "C2"))
