@@ -3,17 +3,22 @@
 from . import limits
 
 
+def printable(text: str) -> str:
+    """The text with control characters escaped, as it may quote a file from anywhere."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+
+
 class ContactSystemError(ValueError):
     """Base class of the package's errors; the text says what to change.
 
-    The text may quote a file from anywhere, so control characters are escaped, and the middle of a
-    text longer than `limits.MESSAGE` is left out.
+    Control characters are escaped, and the middle of a text longer than `limits.MESSAGE` is left
+    out.
     """
 
     def __init__(self, text: object = ""):
-        text = str(text)
-        if not text.isprintable():
-            text = "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+        text = printable(str(text))
         over = len(text) - limits.MESSAGE
         if over > 0:
             gap, half = f" [... {over + 40} characters ...] ", (limits.MESSAGE - 40) // 2

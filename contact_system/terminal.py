@@ -9,11 +9,14 @@ import threading
 import time
 from collections.abc import Iterable, Sequence
 
+from .errors import printable
+
 
 def tell(*lines: str) -> None:
     """Print lines at once; drop them if the reader of a pipe, such as head, has ended."""
     try:
-        print(*lines, sep="\n", flush=True)  # does nothing if sys.stdout was closed and is None
+        # does nothing if sys.stdout was closed and is None
+        print(*map(printable, lines), sep="\n", flush=True)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

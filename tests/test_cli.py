@@ -35,13 +35,14 @@ def _error(capsys, *words: object) -> str:
 def test_scenes_with_names_in_any_script_run_on_terminals_of_any_encoding(
     encoding, tmp_path, monkeypatch
 ):
-    scene = cs.load_scene("C1").replace(name="球 ü")
+    scene = cs.load_scene("C1").replace(name="球 ü\x1b[2J")
     cs.save_scene(scene, tmp_path / "scene.toml")
     stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
     monkeypatch.setattr(sys, "stdout", stream)
     assert _run("run", tmp_path / "scene.toml", "--no-plots", "--out", tmp_path) == 0
     stream.flush()
-    assert stream.buffer.getvalue().startswith(b"\\u7403 ")
+    printed = stream.buffer.getvalue()
+    assert printed.startswith(b"\\u7403 ") and b"\x1b" not in printed
     assert cs.load(next(tmp_path.glob("*.npz"))).scene == scene
 
 
