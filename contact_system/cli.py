@@ -328,7 +328,7 @@ def _slip_table(plans: Plans) -> Iterable[str]:
     for planned, found in plans.items():
         yield f"gain {plots.gain_text(planned.scene.gain)}:"
         rows = [_slip_row(planned, r)[: len(head)] for r in found]
-        yield from (*table(head, rows, 1), "")
+        yield from (*table(head, rows), "")
 
 
 def _slip_row(planned: Plan, r: Rejection) -> tuple[str, ...]:

@@ -26,19 +26,15 @@ def paragraph(text: str, indent: str = "") -> str:
     return textwrap.fill(text, 80, break_on_hyphens=False, subsequent_indent=indent)
 
 
-def table(
-    head: Sequence[tuple[str, str]], rows: Sequence[tuple[str, ...]], texts: int
-) -> Iterable[str]:
-    """Lines of a table headed by names, a word a line, and units; ``texts`` columns flush left."""
+def table(head: Sequence[tuple[str, str]], rows: Sequence[tuple[str, ...]]) -> Iterable[str]:
+    """Lines of a table headed by names, a word a line, and units; the first column flush left."""
     words = [[*name.split(), unit] for name, unit in head]
     tall = max(map(len, words))
     heads = list(zip(*([""] * (tall - len(word)) + word for word in words)))
     widths = [max(map(len, column)) for column in zip(*heads, *rows)]
-    for row in (*heads, ["-" * w for w in widths], *rows):
-        cells = [
-            f"{c:<{w}}" if k < texts else f"{c:>{w}}" for k, (c, w) in enumerate(zip(row, widths))
-        ]
-        yield "  ".join(cells).rstrip()
+    for first, *others in (*heads, ["-" * w for w in widths], *rows):
+        cells = [f"{c:>{w}}" for c, w in zip(others, widths[1:])]
+        yield "  ".join([f"{first:<{widths[0]}}", *cells]).rstrip()
 
 
 class Progress:

@@ -206,7 +206,7 @@ def _table(*columns: tuple[str, str, Iterable[Any], str]) -> Iterable[str]:
     """A table of columns, each a name, a unit, values and their format."""
     head = [(name, unit) for name, unit, _, _ in columns]
     cells = [[_cell(form, x) for x in values] for _, _, values, form in columns]
-    return (*table(head, list(zip(*cells)), 1), "")
+    return (*table(head, list(zip(*cells))), "")
 
 
 def _cell(form: str, value: Any) -> str:
