@@ -158,6 +158,7 @@ def test_disturbances_that_replace_keeps_beside_new_contacts_are_not_turned_agai
     assert scene.disturbances[0].value == (-1.0, -0.5)
     assert scene.replace(contacts=[given]) == scene.replace(contacts=scene.contacts) == scene
     assert scene.replace(contacts=[given], disturbances=[push]) == scene
+    assert scene.replace(contacts=[given], object=body) == scene
     ends = [cs.plan(s).points([2.0]) for s in (scene, scene.replace(contacts=[given]))]
     assert np.array_equal(*ends)
 

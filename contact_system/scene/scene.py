@@ -121,7 +121,7 @@ class Scene:
         fields = vars(self)
         known_keys(changes, fields, "changes of a scene: ")
         made = Scene(**(fields | changes))
-        if "contacts" in changes and not {"object", "disturbances"} & set(changes):
+        if "contacts" in changes and "disturbances" not in changes:
             object.__setattr__(made, "disturbances", self.disturbances)
         return made
 
