@@ -27,7 +27,7 @@ from ..theory.profile import Profile
 from .contact import Contact, Turning
 from .disturbances import DISTURBANCE_KINDS, Disturbance
 from .legs import STILL, Leg
-from .scene import PAPER_NUMBERS, SCENE_KEYS, Scene, refuse_scene_keys, require_scene
+from .scene import PAPER_KEYS, SCENE_KEYS, Scene, refuse_scene_keys, require_scene
 
 if TYPE_CHECKING:
     from ..steering import Goal
@@ -164,22 +164,19 @@ def _surface(value: Any) -> Surface:
     name = one_of(table["surface"], surfaces.KINDS, "surface")
     keys = _surface_keys(name)
     required = [key for key, needed in keys.items() if needed]
-    table = _table(table, ("surface", *keys), required, place=f"{name}: ")
-    arguments = _with_numbers(table, keys.keys() - {*_FORMULAS, "parameters", "inside"})
+    arguments = fields_of(_table(table, ("surface", *keys), required, place=f"{name}: "))
     del arguments["surface"]
-    if "parameters" in arguments:
-        with naming("parameters"):
-            arguments["parameters"] = _with_numbers(_table(arguments["parameters"]))
     return surfaces.KINDS[name](**arguments)
 
 
-_AS_GIVEN = ("name", "description", "chosen", "contact")
+_AS_GIVEN = "name description chosen contact surface f F inside figure reports".split()
 _PARTS: dict[str, Callable[[Any], Any]] = {
     "object": _surface,
     "finger": _surface,
     "gain": _gain,
     "turning": lambda value: _made(Turning, value),
-    "paper": lambda value: _with_numbers(_table(value), PAPER_NUMBERS),
+    "parameters": lambda value: {key: _numbers(x, key) for key, x in _table(value).items()},
+    "paper": lambda value: fields_of(_table(value, PAPER_KEYS)),
     "drake": lambda value: _table(value),
 }
 _LISTS: dict[str, Callable[[Any], Any]] = {
@@ -207,12 +204,6 @@ def _table(
             remedy = f"a table [[{key}]]" if key in _LISTS else f"{key} = ..."
             raise SceneError(f"{place}key '{key}' is missing; add {remedy}")
     return value
-
-
-def _with_numbers(table: dict, keys: Iterable[str] | None = None) -> dict:
-    """The table with the values of these keys, or of all, converted to numbers."""
-    chosen = table if keys is None else keys
-    return {key: _numbers(x, key) if key in chosen else x for key, x in table.items()}
 
 
 def _numbers(value: Any, what: str) -> Any:
