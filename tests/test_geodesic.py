@@ -90,6 +90,13 @@ def test_a_turned_quadric_has_the_geodesics_of_its_ellipsoid():
         assert line.length == pytest.approx(known, rel=1e-12)
 
 
+def test_a_chart_of_a_slim_torus_has_the_geodesics_of_the_torus():
+    slim, way = cs.Torus(0.3, 0.01), "(.3 + .01*cos(v))"
+    chart = cs.ParametricSurface((f"{way}*cos(u)", f"{way}*sin(u)", ".01*sin(v)"), size=0.31)
+    known, line = (cs.geodesic(body, *pairs(slim, 5)) for body in (slim, chart))
+    assert line.length == pytest.approx(known.length, rel=1e-12)
+
+
 def test_geodesics_on_sphere_plane_and_cylinder_have_their_closed_forms():
     a, b = pairs(ELLIPSOID, 30)
     ball = cs.Sphere(0.1)

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 MET = 1e-13  # of the size: distance from b at which a geodesic has met it
-NEAR = 3e-8  # of the surface's detail, and rad: from so near, one step of Newton's method meets b
+DETAIL = 0.3  # of the least radius of curvature: length over which a surface is nearly flat
+NEAR = 3e-8  # of that length, and rad: from so near one step of Newton's method meets b
 SHARP, ROUGH = 5e-15, 1e-4  # error of a step, of the size: on a geodesic, and on a ray of a fan
 STEPS = 25  # most steps of Newton's method
 RAYS = 64  # of a fan
@@ -39,19 +40,17 @@ MOST_SIZES = 1e4  # most sizes between points; the time of a search grows with t
 class Follower(Followed):
     """Follows geodesics of a surface from states (6 or 3, n): see ``geodesics`` in engine.h.
 
-    space: whether states are in space, (x, p), or in the chart, (u, v, theta); detail: length over
-    which the surface is nearly flat, m.
+    space: whether states are in space, (x, p), or in the chart, (u, v, theta).
     """
 
     def __init__(self, surface: Surface):
         self.space = in_space(surface)
-        self.detail = 0.3 * min(surface.least_radius, 0.5 * surface.size)
         super().__init__(
             ctypes.addressof(surface.engine_data),
             surface.tables.geodesic.address,
             binding.address(surface.numbers),
             surface.size,
-            self.detail,
+            DETAIL * min(surface.least_radius, 0.5 * surface.size),
             surface.panel_limit * surface.size / 8,
         )
         self.kept = surface  # the engine points to its numbers
@@ -74,6 +73,7 @@ class Search:
 
     def __init__(self, pairs: Pairs):
         self.pairs, self.follow, self.surface = pairs, pairs.follow, pairs.surface
+        self.detail = DETAIL * self.least_radius()
         self.examined = np.zeros(len(pairs.chord), int)  # strips of each pair
         self.lost = np.full(len(pairs.chord), math.inf)
         """For each pair the least length at which a line that was near b could not be followed."""
@@ -84,6 +84,18 @@ class Search:
                 f"over {MOST_SIZES:g} times the size, {self.surface.size:g} m; give nearer points, "
                 "or a surface of a greater size"
             )
+
+    def least_radius(self) -> float:
+        """Typical least radius of curvature, m, at most half the size.
+
+        If that of the surface is unknown, the median of those at the points.
+        """
+        size, radius = self.surface.size, self.surface.least_radius
+        if radius == size:  # it is unknown
+            uv = np.concatenate([self.pairs.uv, self.pairs.uv_b])
+            curvature = np.linalg.norm(self.surface.curvature_form(*uv.T), axis=(1, 2))
+            radius = float(np.median(size / np.fmax(curvature * size, 2)))  # NaN at poles
+        return min(radius, 0.5 * size)
 
     def shortest(self) -> tuple[Array, Array]:
         """Directions and lengths of the shortest geodesic of each pair."""
@@ -177,15 +189,15 @@ class Search:
             away = np.sqrt(np.einsum("ij,ij->j", r, r))
             along, aside = (np.einsum("ij,ij->j", r, w) for w in (end[3:6], end[6:9]))
             # what is left to b is almost normal to the surface: b is beyond a thin body's rim
-            over = (along**2 + aside**2 < 0.1 * away**2) & (away > NEAR * self.follow.detail)
-            along = np.where(over, np.maximum(away, self.follow.detail), along)
+            over = (along**2 + aside**2 < 0.1 * away**2) & (away > NEAR * self.detail)
+            along = np.where(over, np.maximum(away, self.detail), along)
             turn = aside * j / (j**2 + (1e-12 * size) ** 2)
             turn = np.maximum(np.minimum(turn, 0.5), -0.5)
             half, grown = 0.5 * s[active], self.growth(j)
             phi[active] += turn
             s[active] += np.maximum(np.minimum(along, half), -half)
             # the error after a step is the square of the one before
-            close = (away <= NEAR * self.follow.detail) & (np.abs(turn) * grown <= NEAR)
+            close = (away <= NEAR * self.detail) & (np.abs(turn) * grown <= NEAR)
             off[active], field[active] = np.where(close, 0.0, away), j
             done = off[active] <= 0.02 * MET * size * grown
             active = active[~done]
@@ -225,11 +237,11 @@ class Search:
         self.examined += np.bincount(pair, minlength=len(self.examined))
         most = self.examined.argmax()
         what = (
-            f"{self.surface!r}, least radius of curvature about {self.surface.least_radius:.2g} m: "
+            f"{self.surface!r}, least radius of curvature about {self.detail / DETAIL:.2g} m: "
             f"strips of a search for geodesics from {self.pairs.x[most].tolist()}"
         )
         within("STRIPS", self.examined[most], what, SurfaceError)
-        count = int(min(max(math.ceil(limit.max() / self.follow.detail), 8), 400))
+        count = int(min(max(math.ceil(limit.max() / self.detail), 8), 400))
         exact = np.minimum(0.01 * width, ROUGH)
         sides = (self.pairs.start(pair, side) for side in (phi, phi + width))
         left, right = (self.follow(side, limit, exact, count) for side in sides)  # x and J
@@ -263,7 +275,7 @@ class Search:
         Where a strip is too wide, its rays do not tell what is between them: split it if b is near.
         """
         parts, strips = wide.shape
-        too_wide = np.maximum.accumulate(~flat & (wide > 2 * self.follow.detail), axis=0)
+        too_wide = np.maximum.accumulate(~flat & (wide > 2 * self.detail), axis=0)
         near = ~too_wide & (away <= 0.75 * (wide + reach / parts))
         first = np.argmax(too_wide, axis=0), np.arange(strips)
         left = reach * (1 - (first[0] + 1) / parts) + wide[first]
@@ -280,7 +292,7 @@ class Search:
         wide = np.maximum(np.sqrt(np.einsum("ij,ij->i", a, a)), 1e-300)
         aside = np.einsum("ij,ij->i", a, r) / wide
         # else b belongs to a neighbouring strip
-        inside = np.abs(aside) <= 0.75 * wide + 0.2 * self.follow.detail
+        inside = np.abs(aside) <= 0.75 * wide + 0.2 * self.detail
         k, strip, r, share = k[inside], strip[inside], r[inside], 0.5 + (aside / wide)[inside]
         low = np.minimum(np.maximum(k - 1, 0), len(middle) - 2)
         along = middle[low + 1, :, strip] - middle[low, :, strip]
