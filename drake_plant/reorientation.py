@@ -379,19 +379,20 @@ def _torques(
     chains: Chains, t: Array, q: Array, v: Array, a: Array, points: Array, forces: Array
 ) -> Array:
     """Torques (m, nq) that move joints, carry links and exert forces; SceneError beyond a limit."""
-    found = np.empty_like(q)
+    moving, pressing = np.zeros((2, *q.shape))
     for k in range(len(q)):
         chains.set_state(q[k], v[k])
-        found[k] = chains.inverse_dynamics(a[k])
+        moving[k] = chains.inverse_dynamics(a[k])
         for i, (x, force) in enumerate(zip(points[k], forces[k])):
-            found[k] += chains.jacobian(i, x)[3:].T @ force
+            pressing[k] += chains.jacobian(i, x)[3:].T @ force
+    found = moving + pressing
     over = np.abs(found) > chains.effort
     if over.any():
         k, joint = np.argwhere(over)[0]
-        unit = "N" if chains.slides[joint] else "N m"
+        unit, limit = "N" if chains.slides[joint] else "N m", chains.effort[joint]
+        less = "press or carry less, " if abs(moving[k, joint]) < limit else ""
         raise SceneError(
             f"joint {chains.names[joint]} needs {found[k, joint]:.3g} {unit} at t = {t[k]:.3g} s, "
-            f"its limit is {chains.effort[joint]:.3g}; press less, move more gently, or give a "
-            "stronger hand"
+            f"its limit is {limit:.3g}; {less}move more gently, or give a stronger hand"
         )
     return found

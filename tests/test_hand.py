@@ -79,7 +79,7 @@ def test_fingers_of_six_joints_follow_routes_of_reach_and_can_be_filmed(tmp_path
         ({"hand": {"base": [0, 0, -0.3]}}, ["finger 1. does not reach", "joint", "limit|rad"]),
         ({"hand": {"pad": 0.011}}, ["finger 3. rolls off its pad, pad = 0.011", "0.0162. m"]),
         ({"turn": [[0, -60, 0]]}, ["finger 1. does not get as far", "finger_0_joint_", "rad"]),
-        ({"normal_force": 15.0, "stiffness": 1e5}, ["finger_0_joint", "its limit is 0.7"]),
+        ({"normal_force": 15.0, "stiffness": 1e5}, ["finger_0_joint", "0.7; press or carry less"]),
         ({"hand": {"joints": 6, "pad": 0.006}}, ["finger 1. rolls off its pad", "pad = 0.006"]),
         ({"hand": {"tips": ["a"]}}, ["tips = .'a'.", "0 names"]),
         ({"hand": {"model": "a", "tips": [0, 1, 2]}}, [r"tips\[0\] = 0: give the name"]),
@@ -91,6 +91,11 @@ def test_fingers_of_six_joints_follow_routes_of_reach_and_can_be_filmed(tmp_path
 def test_what_a_hand_cannot_do_is_refused_with_the_reason(changes, words):
     with pytest.raises(cs.SceneError, match=".*".join(words)):
         hand_plan(**changes)
+
+
+def test_who_only_moves_too_fast_is_not_told_to_press_less():
+    with pytest.raises(cs.SceneError, match="its limit is 0.7; move more gently"):
+        hand_plan(H2.replace(duration=0.05))
 
 
 def test_point_contact_on_an_ellipsoid_is_refused():
