@@ -27,13 +27,11 @@ PARTS = 8
 
 
 class Region(NamedTuple):
-    """A ball about a point of body 0 or 1. A path may go as far as ``widest`` from the point; a
-    search keeps to ``radius``, which is a little less."""
+    """A ball about a point of body 0 or 1, m."""
 
     side: int
     centre: Array
     radius: float
-    widest: float
 
 
 class Aim(Steer):
@@ -82,8 +80,8 @@ class Aim(Steer):
         sizes = {body.size for body in self.bodies if not is_plane(body)} or {1.0}
         self.sizes = [min(sizes) if is_plane(body) else body.size for body in self.bodies]
         self.far = max(away) / self.w_length
-        widths = [region.widest for region in self.regions]
-        unit = min([self._turning_length(*curvatures), *widths]) / self.w_length
+        radii = [region.radius for region in self.regions]
+        unit = min([self._turning_length(*curvatures), *radii]) / self.w_length
         self.unit = max(unit, 0.05 * self.far)  # far goals take long steps
         self.size = min(self.sizes)  # with a greater one places would weigh too little
         self.longest = (1 - 1e-10) * (longest or 0.0)  # paths keep to it within 1e-12 or so
@@ -91,8 +89,6 @@ class Aim(Steer):
         self._followers: list[Follower] = []  # the engine points into them
         for side in (0, 1):
             self._set_body(side)
-        for region in self.regions:
-            self.body[region.side].within[:] = [*region.centre.tolist(), region.radius]
         off = self.gap(np.array([x for x, _ in self.start]), start_pose)
         self.start_off = float(np.linalg.norm(off))
 
@@ -168,28 +164,30 @@ class Aim(Steer):
         return max(least, apart**-0.5) if apart > greatest**-2 else greatest
 
     def _regions(self, goal: Goal) -> list[Region]:
-        """The goal's regions; raises a SceneError if the start or the goal lies outside."""
+        """The goal's regions; raises a SceneError if the start or the goal lies outside.
+
+        A search keeps to balls that are a little smaller.
+        """
         regions = []
         for side, body in enumerate(self.bodies):
             key = f"{SIDES[side]}_within"
-            region = getattr(goal, key)
-            if region is None:
+            given = getattr(goal, key)
+            if given is None:
                 continue
-            *at, widest = region
+            *at, radius = given
             centre = body.point(*at)  # which may be a pole: it needs no frame
-            places = [("start", self.start[side][0])]
+            places = {"start": self.start[side][0]}
             if side in self.sides:
-                places.append(("goal", self.goal[side][0]))
-            radius = 0.99 * widest
-            for what, place in places:
-                away = math.dist(place, centre)
-                if not away <= widest * (1 + 1e-12):
+                places["goal"] = self.goal[side][0]
+            away = {what: math.dist(place, centre) for what, place in places.items()}
+            for what, distance in away.items():
+                if not distance <= radius * (1 + 1e-12):
                     raise SceneError(
-                        f"{self.name}: {key} = {region}: the {what} lies {away:.6g} m from that "
+                        f"{self.name}: {key} = {given}: the {what} lies {distance:.6g} m from that "
                         "point; move it, or widen the region"
                     )
-                radius = max(radius, away)
-            regions.append(Region(side, centre, radius, widest))
+            regions.append(Region(side, centre, radius))
+            self.body[side].within[:] = [*centre, max(0.99 * radius, *away.values())]
         return regions
 
     def _set_body(self, side: int) -> None:

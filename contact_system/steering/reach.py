@@ -285,13 +285,13 @@ class _Search:
             return True
         points = plan(route.scene).points(np.linspace(0.0, self.scene.duration, SAMPLES))[:, 0]
         return all(
-            np.linalg.norm(points[:, side] - centre, axis=1).max() <= widest * (1 + 1e-9)
-            for side, centre, _, widest in self.aim.regions
+            np.linalg.norm(points[:, side] - centre, axis=1).max() <= radius * (1 + 1e-9)
+            for side, centre, radius in self.aim.regions
         )
 
     def _refusal(self, counts: Sequence[int], starts: int) -> str:
         why = "no path was found that arrives there"
-        limits = [f"within {SIDES[r.side]}_within {r.widest:g} m" for r in self.aim.regions]
+        limits = [f"within {SIDES[r.side]}_within {r.radius:g} m" for r in self.aim.regions]
         if self.longest is not None:
             limits.append(f"with no leg above {self.longest:g} m")
         if limits:
