@@ -231,7 +231,6 @@ def _routed(chains: Chains, path: Any, t: Array, q: Array) -> tuple[Array, Array
         it ends, so legs of `cs.reach` lead there, but on the pads and without spin.
     """
     found = contacts_of(chains, path, t[[0, -1]], q[[0, -1]], np.zeros((2, q.shape[1])))
-    _refuse_pads(chains.scene, chains.hand, t[:1], found[:1, :, ON_FINGER])
     first, last = found[..., STATES]
     goals = [
         Goal(object_at=state[4:6], finger_within=(*contact.finger_at, chains.hand.pad))
