@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,15 +21,17 @@ from contact_system import (
     Surface,
     Torus,
 )
-from contact_system import plan as make_plan
 from contact_system.checks import Array, naming
-from contact_system.measures import CONFORMS, relative_curvature
+from contact_system.measures import CONFORMS
+from contact_system.planning.motion import FRAMES, Motion
+from contact_system.theory import equations
 from contact_system.theory import symbols as ca
 
 from .config import StationConfig
 from .drake_meshes import inner_points
 from .meshes import RoundDomain, icosphere
 
+TOLERANCE = 1e-12  # error of the plan of a path, as a fraction of the size
 SPACING = 0.0025  # m, between the points of a planned path at which contacts are examined
 ANOTHER = 0.1  # bodies whose sizes differ by more than this part are not the same body
 LINE = 1e-6  # a least relative curvature below this part of the greatest is 0 but for rounding
@@ -170,9 +173,9 @@ class Touch:
     """Where two bodies are planned to touch, and how they curve there, at m times.
 
     points : (2, m, 3), on finger and object, each in its body's frame, m
-    normals : (m, 3), out of the finger; NaN where its chart has no frame
+    normals : (m, 3), out of the finger
     curvatures : (2,), mean curvatures of finger and object, averaged over the curve, 1/m
-    relative_curvature : (m,), sqrt(det(K_1 + R K_2 R)), 1/m; NaN where a chart has no frame
+    relative_curvature : (m,), sqrt(det(K_1 + R K_2 R)), 1/m
     """
 
     points: Array
@@ -183,16 +186,17 @@ class Touch:
 
 def touches_of(scene: Scene) -> list[Touch]:
     """Where fingers touch the object in the scene's plan; refuses line contact and overlap."""
-    plan, length = make_plan(scene), scene.path_length(scene.duration)
-    times = np.linspace(0, scene.duration, min(max(100, math.ceil(length / SPACING)), 20_000))
-    points, poses = plan.points(times), plan.pose(times)
-    uv = plan.states(times, gaps=True)[..., [0, 1, 4, 5]]
-    of_contacts, touches = relative_curvature(plan, times), []
+    count = min(max(100, math.ceil(scene.path_length(scene.duration) / SPACING)), 20_000)
+    times = np.linspace(0, scene.duration, count)
+    results: Any = Motion(scene, TOLERANCE).evaluate(times, ("points", "pose", FRAMES))
+    frames, touches = results[FRAMES], []
+    forms = frames[..., [9, 10, 10, 11]].reshape(*frames.shape[:3], 2, 2)
+    means = np.trace(forms, axis1=-2, axis2=-1).mean(axis=0) / 2
     for i, contact in enumerate(scene.contacts):
-        relative = of_contacts[:, i]
-        # A chart has no frame at its poles: the points beside them have to do.
-        known = np.all(np.isfinite(relative), axis=(1, 2))
-        curvatures = np.linalg.eigvalsh(relative[known])
+        # frames that are carried along both paths keep their angle
+        turn = equations.reflection_rows(math.cos(contact.angle), math.sin(contact.angle))
+        relative = equations.relative_curvature(forms[:, i, 1], forms[:, i, 0], np.array(turn))
+        curvatures = np.linalg.eigvalsh(relative)
         least = curvatures[:, 0].min()
         line = max(LINE * curvatures[:, 1].max(), CONFORMS / contact.finger.size)
         if not least > line:
@@ -205,13 +209,10 @@ def touches_of(scene: Scene) -> list[Touch]:
                 f"{scene.contact_title(i)}: finger and object {what} where they are planned to "
                 f"touch (the least relative curvature is {least:.3g} 1/m); {remedy}"
             )
-        at, bodies = points[:, i].swapaxes(0, 1), (contact.finger, scene.object)
-        normals = contact.finger.normal(*contact.finger.coordinates(at[0]))
-        places = uv[known, i].T.reshape(2, 2, -1)
-        forms = [body.curvature_form(*place) for body, place in zip(bodies, places)]
-        means = [float(np.trace(form, axis1=1, axis2=2).mean() / 2) for form in forms]
-        touches.append(Touch(at, normals, means, np.sqrt(np.linalg.det(relative))))
-    _check_apart(scene, times, poses, touches)
+        points, finger = results["points"][:, i].swapaxes(0, 1), frames[:, i, 0]
+        normals = np.cross(finger[:, 3:6], finger[:, 6:9])
+        touches.append(Touch(points, normals, means[i].tolist(), np.sqrt(curvatures.prod(axis=1))))
+    _check_apart(scene, times, results["pose"], touches)
     return touches
 
 

@@ -45,7 +45,7 @@ SHAPES: dict[str, tuple[int, ...]] = {
 }
 """The results of a plan, in the engine's order, with their shapes for one contact at one time."""
 FRAMES = "frames"
-"""A result for steering only: x, p, q of each body, and its curvature form K_pp, K_pq, K_qq."""
+"""A result that `Plan` lacks: x, p, q of each body, and its curvature form K_pp, K_pq, K_qq."""
 _ALL = {**SHAPES, FRAMES: (2, 12)}
 _SIZES = {name: math.prod(shape) for name, shape in _ALL.items()}
 _PLACES = {name: place for place, name in enumerate(_ALL)}
