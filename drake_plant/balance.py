@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from copy import copy
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,13 +24,14 @@ from pydrake.solvers import ClarabelSolver, LorentzConeConstraint, MathematicalP
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from contact_system import Scene, SceneError
-from contact_system import plan as make_plan
 from contact_system.checks import Array, finite_number, of_kind, shaped_array
+from contact_system.planning.motion import FRAMES, Motion
 
 from .config import StationConfig
 from .hand_kinematics import way_to
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import MOTIONS, ScenePlant, declare_plant_inputs, gravity_on
+from .pressing import TOLERANCE
 from .tables import slices
 
 MARGIN = 0.8
@@ -161,12 +163,12 @@ def pressed_config(scene: Scene, config: StationConfig, until: float) -> Station
     if not config.balances:
         return config
     t = np.linspace(0.0, until, KNOTS)
-    found = make_plan(scene).evaluate(t, "points", "states")
-    at, weight = found["states"][..., 4:6], config.object_mass * config.gravity
-    normals = -scene.object.normal(at[..., 0], at[..., 1])
+    results: Any = Motion(scene, TOLERANCE).evaluate(t, (FRAMES,))
+    points, p, q = np.split(results[FRAMES][:, :, 1, :9], 3, axis=-1)
+    normals, weight = -np.cross(p, q), config.object_mass * config.gravity
     try:
         forces = balancing_forces(
-            *(found["points"][:, :, 1], normals, config.friction),
+            *(points, normals, config.friction),
             *(np.tile([0.0, 0.0, weight], (KNOTS, 1)), np.zeros((KNOTS, 3))),
             margin=config.friction_share,
             least=config.normal_force,
