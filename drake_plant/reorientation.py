@@ -278,7 +278,6 @@ def _planned(
             t, q, v, route = _routed(chains, path, t, q)
     X_WO = np.array([path.GetPose(time).GetAsMatrix4() for time in t])
     R = X_WO[:, :3, :3]
-    V, A = (np.array([get(x) for x in t]) for get in (path.GetVelocity, path.GetAcceleration))
     found = contacts_of(chains, path, t, q, v)
     states = found[..., STATES]
     points = np.stack([found[..., ON_FINGER], found[..., ON_OBJECT]], axis=2)
@@ -287,17 +286,15 @@ def _planned(
     normals, arms = (
         np.einsum("mij,mnj->mni", R, part) for part in (-found[..., NORMAL], points[:, :, 1])
     )
-    down = np.array([0, 0, -config.gravity])
-    mu, margin = config.friction, config.friction_share
-
-    def pressing(k: Any, V: Array, A: Array) -> Array:
-        """Forces that give the object velocity V and acceleration A, at times t[k]."""
-        wrench = needed_wrench(inertia, down, R[k], V, A)
-        wanted = [np.einsum("mij,mj->mi", R[k], part) for part in wrench]
-        contacts = arms[k], normals[k], mu
-        return balancing_forces(*contacts, *wanted, margin=margin, least=least, t=t[k])
-
-    forces = pressing(slice(None), V, A)
+    rest = np.zeros((2, 6))  # before and after the path
+    motion = path.GetVelocity, path.GetAcceleration
+    V, A = (np.vstack([[get(x) for x in t], rest]) for get in motion)
+    k = [*range(len(t)), 0, -1]
+    wrench = needed_wrench(inertia, [0, 0, -config.gravity], R[k], V, A)
+    wanted = [np.einsum("mij,mj->mi", R[k], part) for part in wrench]
+    contacts, share = (arms[k], normals[k], config.friction), config.friction_share
+    forces = balancing_forces(*contacts, *wanted, margin=share, least=least, t=t[k])
+    forces, at_rest = np.split(forces, [-2])
     a = CubicHermiteSpline(t, q, v).derivative(2)(t)
     return Reorientation(
         hand=config.hand,
@@ -314,11 +311,11 @@ def _planned(
         points=points,
         normals=normals,
         forces=forces,
-        resting=pressing([0, -1], *np.zeros((2, 2, 6))),
+        resting=at_rest,
         states=states,
         slip=np.linalg.norm(found[..., SLIP], axis=-1),
         spin=found[..., FOUND],
-        cones=friction_used(forces, normals, mu),
+        cones=friction_used(forces, normals, config.friction),
         torques=_torques(chains, t, q, v, a, points[:, :, 0], forces),
         joints=chains.names,
         chains=chains,
