@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -39,8 +40,8 @@ BALL = cs.Sphere(0.1)
 
 def scene(obj: cs.Surface = BALL, **others) -> cs.Scene:
     contact = cs.Contact(finger=cs.Sphere(0.04), object_at=(0.4, 0.3), object_velocity="rest")
-    given = {"profile": cs.Profile([0.1, 0.2]), "duration": 1.0} | others
-    return cs.Scene(object=obj, contacts=[contact], **given)
+    given = {"profile": cs.Profile([0.1, 0.2]), "duration": 1.0, "contacts": [contact]} | others
+    return cs.Scene(object=obj, **given)
 
 
 def test_the_examples_surface_has_the_curvature_and_points_of_its_equation(example):
@@ -49,6 +50,11 @@ def test_the_examples_surface_has_the_curvature_and_points_of_its_equation(examp
     points = cs.plan(scene(bowl)).points(T)[:, 0, 1]
     level = points[:, 2] - 2 * (points[:, 0] ** 2 + points[:, 1] ** 2)
     assert np.abs(level).max() < 1e-14
+    # steering does not take it for flat, though its coordinates are lengths
+    cup = dataclasses.replace(bowl, radius=0.1)
+    contact = cs.Contact(finger=cup, object_at=(0.05, 0.02), finger_at=(0.01, 0.03))
+    goal = cs.Goal(object_at=(0.09, 0.1), finger_at=(0.04, 0.06), angle=-0.07)
+    assert cs.reach(scene(bowl, contacts=[contact]), goal).residual < 1e-12
 
 
 def test_a_class_that_replaces_another_of_its_name_has_its_own_equation(example):

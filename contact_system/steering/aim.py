@@ -47,6 +47,8 @@ class Aim(Steer):
         The bodies with a wanted place: 0 the finger, 1 the object.
     start, goal : ((3,), (3, 3)) for each body
         Point and contact frame.
+    curvatures : (2, 2)
+        Gaussian curvatures of finger and object, at start and goal, 1/m^2.
     goal_psi : float
         psi at the goal.
     pose : (4, 4)
@@ -64,7 +66,7 @@ class Aim(Steer):
         self.contact = _steerable(scene, index, self.name)
         self.bodies = self.contact.finger, scene.object
         self.psi, self.goal_psi = self.contact.angle, goal.angle or 0.0
-        curvatures = self._place(goal)
+        self._place(goal)
         start_pose, self.pose = _pose(self.psi, self.start), _pose(self.goal_psi, self.goal)
         away = [math.dist(self.start[side][0], self.goal[side][0]) for side in self.sides]
         self.is_pose = goal.pose is not None
@@ -81,7 +83,7 @@ class Aim(Steer):
         self.sizes = [min(sizes) if is_plane(body) else body.size for body in self.bodies]
         self.far = max(away) / self.w_length
         radii = [region.radius for region in self.regions]
-        unit = min([self._turning_length(*curvatures), *radii]) / self.w_length
+        unit = min([self._turning_length(), *radii]) / self.w_length
         self.unit = max(unit, 0.05 * self.far)  # far goals take long steps
         self.size = min(self.sizes)  # with a greater one places would weigh too little
         self.longest = (1 - 1e-10) * (longest or 0.0)  # paths keep to it within 1e-12 or so
@@ -128,8 +130,8 @@ class Aim(Steer):
 
     # --- helpers --------------------------------------------------------------------------------
 
-    def _place(self, goal: Goal) -> list[float]:
-        """Start and goal on both bodies; returns their Gaussian curvatures at the start, 1/m^2."""
+    def _place(self, goal: Goal) -> None:
+        """Find start and goal on both bodies."""
         sides, self.start, self.goal, curvatures = [], [], [], []
         for side, body in enumerate(self.bodies):
             at = getattr(self.contact, f"{SIDES[side]}_at")
@@ -149,17 +151,16 @@ class Aim(Steer):
             points, frames, forms = body._evaluate(*both, "point", "frame", "curvature_form")
             self.start.append((points[0], frames[0]))
             self.goal.append((points[1], frames[1]))
-            (k_xx, k_xy), (_, k_yy) = forms[0].tolist()
-            curvatures.append(k_xx * k_yy - k_xy**2)
-        self.sides = tuple(sides)
-        return curvatures
+            curvatures.append(forms[:, 0, 0] * forms[:, 1, 1] - forms[:, 0, 1] ** 2)
+        self.sides, self.curvatures = tuple(sides), np.array(curvatures)
 
-    def _turning_length(self, k_1: float, k_2: float) -> float:
+    def _turning_length(self) -> float:
         """Size, m, of a closed path that turns the finger by 1 rad with K_1 - K_2 as at the start.
 
         It is between the sizes of the bodies: large if a small cylinder rolls on a large ball.
         """
         least, greatest = min(self.sizes), max(self.sizes)
+        k_1, k_2 = self.curvatures[:, 0].tolist()
         apart = abs(k_1 - k_2)  # NaN if the contact starts at a pole
         return max(least, apart**-0.5) if apart > greatest**-2 else greatest
 

@@ -42,6 +42,8 @@ ENOUGH_STEPS = 1_500_000
 """Steps of geodesics, 16 at once, after which no further round begins: each takes 2 to 5 us."""
 CORRECTIONS, DIFFERENCE = 8, 1e-6
 """Most corrections of a path for slip, and the unknowns' step in difference quotients, in units."""
+FLAT = 1e-12
+"""Gaussian curvature, times the size squared, that is 0 but for rounding."""
 SAMPLES = 201
 """Times at which a route is checked against its regions."""
 
@@ -332,5 +334,6 @@ class _Search:
         finger, obj = self.aim.bodies
         balls = finger.chart.great_circles and obj.chart.great_circles
         near = abs(finger.size - obj.size) <= part * obj.size
-        flat = finger.chart.lengths[1] and obj.chart.lengths[1]  # planes, and all cylinders
+        straight = finger.chart.lengths[1] and obj.chart.lengths[1]  # as on planes and cylinders
+        flat = straight and bool((np.abs(self.aim.curvatures) < FLAT / self.aim.size**2).all())
         return (balls and near) or flat
