@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
+from pydrake.systems.framework import DiagramBuilder
 from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 from contact_system import Scene, SceneError, plan
@@ -27,7 +27,6 @@ from contact_system.scene import scene_to_toml
 from .balance import friction_used
 from .config import StationConfig, checked
 from .contact_monitor import COLUMNS
-from .planner_base import EARLY
 from .plant import ScenePlant
 from .recording import Recording
 from .reorientation import Reorientation, contacts_of, plan_reorientation
@@ -49,7 +48,8 @@ CONTINUOUS.accuracy = 1e-4
 @dataclass(eq=False, repr=False)
 class SimulationResult:
     """What :func:`simulate` logged: about every 2 ms, at the end of every step in which a finger is
-    off the object, and at the end of the last whole step. m times, n contacts; SI units.
+    off the object (of a continuous plant every 1 ms), and at the end of the last whole step. m
+    times, n contacts; SI units.
 
     Attributes
     ----------
@@ -288,10 +288,11 @@ class Run:
         self, duration: float, progress: Callable[[float], None] | None, logged: Logged
     ) -> tuple[Array, dict[str, Array], dict[str, Array]]:
         """Simulate to the end; returns times, logs (with the object's pose), and measurements."""
-        config, plant, rows, next_period = self.parts.config, self.parts.plant, [], 0
-        step = config.time_step
-        longest = step or CONTINUOUS.max_step_size
-        period = longest * max(1, math.floor(min(LOG_PERIOD, duration) / longest + NEAR))
+        config, plant, rows = self.parts.config, self.parts.plant, []
+        # a continuous plant is read at the ends of equal times
+        step = config.time_step or duration / math.ceil(duration / CONTINUOUS.max_step_size - NEAR)
+        every = max(1, math.floor(min(LOG_PERIOD, duration) / step + NEAR))
+        last = math.floor(duration / step + NEAR)
         physics = plant.GetMyContextFromRoot(self.root)
         monitor = self.station.GetSubsystemByName("monitor")
         measured = partial(monitor.measured, monitor.GetMyContextFromRoot(self.root))
@@ -300,26 +301,16 @@ class Run:
             "pose": lambda: self.parts.object_body.EvalPoseInWorld(physics).GetAsMatrix4(),
             "measured": measured,
         }
-
-        def note(root: Context) -> EventStatus:
-            nonlocal next_period
-            t = root.get_time()
-            if progress is not None:
-                progress(t)
-            # The planner's steps end within those of a discrete plant too, whose state is then
-            # ahead: log at the plant's steps only.
-            if not step or abs(math.remainder(t, step)) < EARLY / 2:
-                periods = math.floor(t / period + NEAR)
-                due = periods >= next_period or t + max(step - EARLY, 0.0) >= duration
-                if due or not (measured()[:, COLUMNS["normal_force"]] > 0).all():
-                    next_period = periods + 1
-                    rows.append([np.array(value()) for value in logged.values()])
-            return EventStatus.DidNothing()
-
-        self._simulator.set_monitor(note)
         self._simulator.Initialize()
         made = time.perf_counter()
-        self._simulator.AdvanceTo(duration)
+        for k in range(last + 1):
+            if k:  # at the start it would make the plant's first step
+                self._simulator.AdvanceTo(min(k * step, duration))
+            if progress is not None:
+                progress(self.root.get_time())
+            touch = measured()[:, COLUMNS["normal_force"]] > 0
+            if k % every == 0 or k == last or not touch.all():
+                rows.append([np.array(value()) for value in logged.values()])
         self.times = made - self._begun, time.perf_counter() - made
         logs = {name: np.array(values) for name, values in zip(logged, zip(*rows))}
         return logs["t"], logs, _measurements(logs["measured"], config)
