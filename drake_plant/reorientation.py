@@ -23,10 +23,11 @@ from contact_system.checks import Array, naming, of_kind
 from contact_system.contact_sensor import FOUND, NORMAL, ON_FINGER, ON_OBJECT, SLIP, STATES
 
 from .balance import balancing_forces, friction_used, needed_wrench
+from .bodies import solid_inertia
 from .config import StationConfig
 from .hand import Hand
 from .hand_kinematics import Chains
-from .plant import AddScenePlant, check_surfaces, solid_inertia
+from .plant import AddScenePlant, check_surfaces
 from .pressing import REACH, resting, rolling_scene
 
 STEPS = 16  # least number of integration steps from the start of the motion to its end
