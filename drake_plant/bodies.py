@@ -165,8 +165,9 @@ def check_edges(scene: Scene, config: StationConfig, touches: Sequence[Touch]) -
         for i, touch in enumerate(touches):
             half = sum(touch.curvatures) / 2
             if half * edge**2 > WIDEST_GAP * depth:
+                most = 0.95 * math.sqrt(WIDEST_GAP * depth / half)  # so that rounding is no excess
                 raise SceneError(
                     f"{key} = {edge!r}: {scene.contact_title(i)}: along such an edge bodies are up "
                     f"to {half * edge**2:.2g} m off each other, pressed {depth:.2g} m deep; give "
-                    f"at most {math.sqrt(WIDEST_GAP * depth / half):.2g} m, or leave it out"
+                    f"at most {most:.2g} m, or leave it out"
                 )

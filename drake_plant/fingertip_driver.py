@@ -205,9 +205,10 @@ def _check(parts: ScenePlant) -> None:
         borne = STIFF * mass / step**2 if step else math.inf
         needed = config.normal_force / (contact.finger.size + scene.object.size)
         if borne < needed:
+            most = 0.95 * math.sqrt(STIFF * mass / needed)  # so that rounding is no excess
             raise SceneError(
                 f"{scene.title}, {scene.contact_title(i)}: time_step = {step!r}: a finger of "
                 f"{mass:g} kg can be held with {borne:.3g} N/m, and pressing with "
                 f"{config.normal_force:g} N needs {needed:.3g} N/m; give at most "
-                f"{math.sqrt(STIFF * mass / needed):.2g} s, or a heavier finger"
+                f"{most:.2g} s, or a heavier finger"
             )
