@@ -310,7 +310,7 @@ class StationConfig:
             every = f" (None: {CHECK_PERIOD:g} s)" if period is None else ""
             raise SceneError(
                 f"restart_period = {period!r}{every}: restarts have to fall on steps of the plant, "
-                f"time_step = {step!r}; give restart_period = {whole * step:.9g}, or another "
+                f"time_step = {step!r}; give restart_period = {whole * step:.12g}, or another "
                 "multiple of it"
             )
 
