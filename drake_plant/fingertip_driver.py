@@ -101,8 +101,8 @@ class FingertipDriver(LeafSystem):
         n = len(fingers)
         self._motion = self.DeclareVectorInputPort("motion", sum(MOTION.values()) * n)
         self._poses, self._velocities = declare_plant_inputs(self, plant, *MOTIONS)
-        self._discrete = plant.time_step() > 0
-        if self._discrete:
+        self.step = plant.time_step()
+        if self.step:
             (self._accelerating,) = declare_plant_inputs(self, plant, "body_spatial_accelerations")
         else:
             size = 6 * body.is_floating_base_body()
@@ -122,7 +122,7 @@ class FingertipDriver(LeafSystem):
         o, law = self.object_index, self._laws()
         x, n, given = law.x, len(self.finger_indices), self._accelerating.Eval(context)
         law.put(X, V, o, self.finger_indices)
-        x["A_WO"][:] = given[o].get_coeffs() if self._discrete else self._A_WO(X[o], V[o], given)
+        x["A_WO"][:] = given[o].get_coeffs() if self.step else self._A_WO(X[o], V[o], given)
         x["motion"][:] = self._motion.Eval(context).reshape(n, -1)
         for name, port in self._optional.items():
             connected = port.HasValue(context)

@@ -92,8 +92,8 @@ def build(
     planned = rolling_scene(scene, config)
     planner = builder.AddNamedSystem("planner", _planner(planned, config))
     driver = builder.AddNamedSystem("driver", FingertipDriver(parts))
-    start = _finger_poses(planner, planner.CreateDefaultContext(), driver)
-    for body, X_OF in zip(parts.finger_bodies, start):
+    starts = _starts(planner, planner.CreateDefaultContext(), driver, np.zeros(3))
+    for body, (X_OF, _) in zip(parts.finger_bodies, starts):
         parts.plant.SetDefaultFloatingBaseBodyPose(body, X_OF)
     monitor = _add_monitor(builder, parts, planned, driver)
     plant = parts.plant
@@ -276,13 +276,11 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         raise SceneError("context: give the root's, of the Diagram that contains all") from None
     physics = plant.GetMyMutableContextFromRoot(context)
     scene, config, t = driver.scene, driver.config, context.get_time()
-    # A discrete plant's velocity moved it over the last step: it is that of half a step ago.
-    ago = 0.5 * plant.time_step()
     # A plant of the user's own may turn its object in another way.
     if config.object == "turning" and scene.turning and plant.HasJointNamed("turning"):
         joint, angle = plant.GetJointByName("turning"), turning_angle(scene.turning)
         joint.set_angle(physics, angle(t))
-        joint.set_angular_rate(physics, angle.deriv()(t - ago))
+        joint.set_angular_rate(physics, angle.deriv()(t - driver.step / 2))
     obj = plant.get_body(BodyIndex(driver.object_index))
     X_WO, V_WO = obj.EvalPoseInWorld(physics), obj.EvalSpatialVelocityInWorld(physics)
     forces = None
@@ -291,20 +289,11 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         balancing = balancer.GetMyMutableContextFromRoot(context)
         balancing.get_mutable_abstract_parameter(0).set_value(X_WO)
         forces = balancer.GetOutputPort("normal_force").Eval(balancing)
-    R_WO, poses = X_WO.rotation(), _finger_poses(planner, now, driver, forces)
-    p, w_O = np.array([X_OF.translation() for X_OF in poses]), R_WO.inverse() @ V_WO.rotational()
-    planned = planner.Evaluate(now, "twist", "acceleration", "contact_point", "normal")
-    w, v, alpha, a, _, at, normals = np.split(planned, 7, axis=1)
-    v = v - ago * (a + np.cross(w_O, np.cross(w_O, p) + 2 * v))
-    w = w - ago * (alpha + np.cross(w_O, w))
-    # The first step presses by the depth at its end, taken along the normal at its beginning: a
-    # finger comes nearer in it by as much as it went away in the step before.
-    away = 2 * ago * np.sum(normals * (v + np.cross(w, at - p)), axis=1, keepdims=True)
-    for index, X_OF, w_OF, v_OF, shift in zip(driver.finger_indices, poses, w, v, away * normals):
-        body = plant.get_body(BodyIndex(index))
-        V_OF_W = SpatialVelocity(w_OF, v_OF).Rotate(R_WO)
-        V_WF = V_WO.ComposeWithMovingFrameVelocity(R_WO @ X_OF.translation(), V_OF_W)
-        X_OF.set_translation(X_OF.translation() + shift)
+    R_WO = X_WO.rotation()
+    starts = _starts(planner, now, driver, R_WO.inverse() @ V_WO.rotational(), forces)
+    for index, (X_OF, V_OF) in zip(driver.finger_indices, starts):
+        body, p_OF_W = plant.get_body(BodyIndex(index)), R_WO @ X_OF.translation()
+        V_WF = V_WO.ComposeWithMovingFrameVelocity(p_OF_W, V_OF.Rotate(R_WO))
         plant.SetFreeBodyPose(physics, body, X_WO @ X_OF)
         plant.SetFreeBodySpatialVelocity(context=physics, body=body, V_JpJc=V_WF)
     # Reset the plant's sampled outputs, which SetDefaultContext leaves as they were.
@@ -312,17 +301,31 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     physics.get_mutable_state().get_mutable_abstract_state().SetFrom(sampled)
 
 
-def _finger_poses(
-    planner: PlannerBase, context: Context, driver: FingertipDriver, forces: Array | None = None
-) -> list[RigidTransform]:
-    """X_OF as planned, but pressed in until nominal surfaces overlap by the depth for the force."""
-    config, poses = driver.config, planner.GetOutputPort("pose").Eval(context)
-    normals = planner.GetOutputPort("normal").Eval(context).reshape(-1, 3)
-    if forces is None:
-        forces = np.full(len(poses), config.normal_force)
+def _starts(
+    planner: PlannerBase,
+    now: Context,
+    driver: FingertipDriver,
+    w_O: Array,
+    forces: Array | None = None,
+) -> list[tuple[RigidTransform, SpatialVelocity]]:
+    """X_OF and V_OF_O as planned, but pressed in by the depth for the forces (None: the usual one);
+    w_O is the object's angular velocity in O."""
+    poses, step = planner.GetOutputPort("pose").Eval(now), driver.step
+    p = np.array([X_OF.translation() for X_OF in poses])
+    planned = planner.Evaluate(now, "twist", "acceleration", "contact_point", "normal")
+    w, v, alpha, a, _, at, normals = np.split(planned, 7, axis=1)
+    # A discrete plant's velocity moved it over the last step: it is that of half a step ago.
+    v = v - step / 2 * (a + np.cross(w_O, np.cross(w_O, p) + 2 * v))
+    w = w - step / 2 * (alpha + np.cross(w_O, w))
+    # The first step presses by the depth at its end, taken along the normal at its beginning: a
+    # finger comes nearer in it by as much as it went away in the step before.
+    away = step * np.sum(normals * (v + np.cross(w, at - p)), axis=1)
     pairs = zip(driver.scene.surfaces, planner.system.scene.surfaces)
     of_object, *of_fingers = (depth_between(nominal, planned) for nominal, planned in pairs)
-    return [
-        RigidTransform(X.rotation(), X.translation() - (contact_depth(config, force) - d) * n)
-        for X, n, force, d in zip(poses, normals, forces, of_object + np.array(of_fingers))
-    ]
+    starts = []
+    for i, X_OF in enumerate(poses):
+        depth = contact_depth(driver.config, None if forces is None else forces[i])
+        out = away[i] + of_object + of_fingers[i] - depth
+        X_OF = RigidTransform(X_OF.rotation(), p[i] + out * normals[i])
+        starts.append((X_OF, SpatialVelocity(w[i], v[i])))
+    return starts
