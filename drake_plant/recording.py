@@ -35,7 +35,7 @@ from .plant import ScenePlant, model_names
 if TYPE_CHECKING:
     from .simulation import SimulationResult
 
-FRAMES = 64.0  # a second
+PERIOD = 0.016  # s of a picture; rows of logs, which are 2 ms apart, fall on pictures
 FILM = "/drake/film"
 BODIES, FORCES = f"{FILM}/bodies", f"{FILM}/forces"
 LIFT = 0.02  # height of lines over a surface, whose facets would hide them, of the finger's size
@@ -57,7 +57,8 @@ ARROW = 2.5  # length of the arrow of the normal force, in sizes of the largest 
 class Recording:
     """Records a simulation with Meshcat: bodies, contact points and contact forces.
 
-    There are 64 pictures a second of simulated time, each at a step of a discrete plant.
+    There is a picture for every 16 ms of simulated time, or for the nearest number of steps of a
+    discrete plant.
 
     Parameters
     ----------
@@ -81,15 +82,13 @@ class Recording:
         self._meshcat = meshcat = Meshcat()
         log.setLevel(level)
         scene, ink = scene_plant.scene, rgba(INK)
-        step, period = scene_plant.plant.time_step(), 1.0 / FRAMES
+        step, period = scene_plant.plant.time_step(), PERIOD
         if step:  # a picture between two steps would end a step of the planner there
             period = step * max(1, round(period / step))
         params = MeshcatVisualizerParams(
             publish_period=period, role=Role.kIllustration, prefix=BODIES
         )
-        self._visualizer = MeshcatVisualizer.AddToBuilder(
-            builder, scene_plant.scene_graph, meshcat, params
-        )
+        MeshcatVisualizer.AddToBuilder(builder, scene_plant.scene_graph, meshcat, params)
         largest = max(contact.finger.size for contact in scene.contacts)
         forces = ContactVisualizerParams(
             publish_period=period,
@@ -101,7 +100,8 @@ class Recording:
             radius=largest / 20,
         )
         ContactVisualizer.AddToBuilder(builder, scene_plant.plant, meshcat, forces)
-        self._visualizer.StartRecording(set_transforms_while_recording=False)
+        # Drake rounds frames down: without the little more, k periods are at times in frame k - 1
+        meshcat.StartRecording((1.0 + 1e-9) / period, set_visualizations_while_recording=False)
         for path in ("/Grid", "/Axes", "/Background"):
             meshcat.SetProperty(path, "visible", False)
         self._fingers = model_names(scene)
@@ -118,14 +118,14 @@ class Recording:
             Of the same simulation. It adds the curves that contacts draw on both bodies, marks on
             bodies while they are disturbed, and names; and the camera follows the disturbed finger.
         """
-        self._visualizer.StopRecording()
+        self._meshcat.StopRecording()
         # Drake draws a patch's force on the object, inside it: show the opposite one on the finger.
         for name in self._fingers:
             force = f"{FORCES}/hydroelastic/object+{name}/force_C_W"
             self._meshcat.SetProperty(force, "scale", [1.0, 1.0, -1.0])
         if result is not None:
             draw(self._meshcat, result)
-        self._visualizer.PublishRecording()
+        self._meshcat.PublishRecording()
         page = self._meshcat.StaticHtml()
         if result is not None:
             page = with_texts(page, result)

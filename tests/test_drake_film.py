@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import json
+import re
 import subprocess
 
 import numpy as np
@@ -17,7 +19,7 @@ from matplotlib.image import imread
 import contact_system as cs
 from benchmarks.chromium import PROGRAM
 from contact_system.plots.style import COLOURS, DISTURBED
-from drake_plant import simulate
+from drake_plant import StationConfig, simulate
 
 WIDTH, HEIGHT = 320, 280
 EARLY, WHILE, AFTER = 0.05, 0.25, 0.35  # a disturbance acts from 0.1 to 0.3 s
@@ -105,3 +107,15 @@ def test_the_films_page_has_a_legend_of_its_colours(film):
     for words in ("D1: Dynamic: three spheres", "finger 1: contact as measured", "planned"):
         assert words in film.read_text() and words in brief.read_text()
     assert "disturbed" in film.read_text() and "disturbed" not in brief.read_text()
+
+
+def test_every_picture_of_a_film_shows_the_bodies_at_its_own_time(tmp_path):
+    msgpack = pytest.importorskip("msgpack")
+    scene, path = cs.load_scene("D1"), tmp_path / "film.html"
+    config = StationConfig.from_scene(scene, contact_model="point", time_step=7e-4)
+    simulate(scene, config, duration=0.2, recording=path)
+    command = re.findall('base64,([^"]*)"', path.read_text())[-2]
+    clips = msgpack.unpackb(base64.b64decode(command))["animations"]
+    (tracks,) = (a["clip"]["tracks"] for a in clips if a["path"] == f"/{FINGERS[0]}")
+    for track in tracks:  # position and orientation
+        assert [key["time"] for key in track["keys"]] == list(range(13))  # 23 steps apart
