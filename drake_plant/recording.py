@@ -178,11 +178,10 @@ def draw(meshcat: Meshcat, result: SimulationResult) -> None:
         path = f"{_branch(scene, on)}/disturbed"
         meshcat.SetObject(path, Sphere(HALO * bodies[on].size), rgba(DISTURBED, 0.35))
         meshcat.SetProperty(f"{path}/<object>", "material.depthWrite", False)
-        recording.SetProperty(0, path, "visible", False)
-        for _, start, stop in sorted(event for event in acting if event[0] == on):
-            recording.SetProperty(recording.frame(start), path, "visible", True)
-            if stop < result.t[-1]:  # a later property would lengthen the film
-                recording.SetProperty(recording.frame(stop), path, "visible", False)
+        spans = [(times < stop) & (times > start - PERIOD) for i, start, stop in acting if i == on]
+        marked = np.any(spans, axis=0)
+        for frame in np.flatnonzero(np.diff(marked, prepend=~marked[0])).tolist():
+            recording.SetProperty(frame, path, "visible", bool(marked[frame]))
     if result.config.hand is not None:  # a fixed camera: up stays up
         meshcat.SetCameraPose(HAND_VIEW, [0.0, 0.0, -0.6 * scene.object.size])
         return

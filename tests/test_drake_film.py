@@ -19,7 +19,7 @@ from matplotlib.image import imread
 import contact_system as cs
 from benchmarks.chromium import PROGRAM
 from contact_system.plots.style import COLOURS, DISTURBED
-from drake_plant import StationConfig, simulate
+from drake_plant import Push, StationConfig, simulate
 
 WIDTH, HEIGHT = 320, 280
 EARLY, WHILE, AFTER = 0.05, 0.25, 0.35  # a disturbance acts from 0.1 to 0.3 s
@@ -53,10 +53,11 @@ setTimeout(() => {
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
-    """The film of D1 with a disturbance from 0.1 to 0.3 s."""
+    """The film of D1 with a disturbance from 0.1 to 0.3 s, and a push that ends before."""
     scene, path = cs.load_scene("D1"), tmp_path_factory.mktemp("film") / "film.html"
     early = dataclasses.replace(scene.disturbances[0], start=0.1, stop=0.3)
-    simulate(scene.replace(disturbances=[early], duration=0.4), recording=path)
+    config = StationConfig.from_scene(scene, pushes=[Push("finger 1", 0.15, 0.2, [0, 0, 1e-3])])
+    simulate(scene.replace(disturbances=[early], duration=0.4), config, recording=path)
     return path
 
 
