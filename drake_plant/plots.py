@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.interpolate import make_interp_spline
 
 from contact_system import Plan, plan
 from contact_system.checks import Array, of_kind
@@ -165,8 +165,11 @@ def _draw_rippling(ax: Any, t: Array, values: Array, wanted: Array, top: float) 
     """Signals, pale, and their running means, without the start, and, dotted, wanted values."""
     late, values = t[1:], values[1:]
     _each(ax, late, values, linewidth=0.5, alpha=0.35)
-    width = max(1, round(SMOOTH / (late[1] - late[0]))) if len(late) > 1 else 1
-    _each(ax, late, uniform_filter1d(values, width, axis=0, mode="nearest"), linewidth=1.5)
+    if len(late) > 1:  # rows may be unequally far apart
+        integral = make_interp_spline(late, values, k=1).antiderivative()
+        since, until = (np.clip(late + w, late[0], late[-1]) for w in (-SMOOTH / 2, SMOOTH / 2))
+        means = (integral(until) - integral(since)) / (until - since)[:, None]
+        _each(ax, late, means, linewidth=1.5)
     ax.plot(t, wanted, color=INK, linewidth=0.9, linestyle=":")
     ax.set_ylim(0.0, top or None)
 
