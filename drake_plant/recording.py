@@ -46,8 +46,8 @@ VIEW = np.array([math.sqrt(0.75), 0.0, 0.5])
 """Direction from the middle of the picture to the camera, whose right is y."""
 ASIDE = np.array([0.4, 0.7, 0.6]) / math.hypot(0.4, 0.7, 0.6)
 """Direction in which the followed finger is kept: beside the line of sight, to show its contact."""
-HAND_VIEW = [0.19, 0.11, 0.05]
-"""Position of the camera for a hand, m."""
+HAND_VIEW = np.array([[3.8, 2.2, 1.0], [0.0, 0.0, -0.6]])
+"""Where the camera is for a hand, and what it looks at, in sizes of the object."""
 SEES = math.radians(75.0)  # the angle of view of Meshcat's camera
 AROUND = 2.2  # margin around the object or the contacts, in sizes of the largest finger
 TURN = 0.4  # greatest turn of the camera from frame to frame, rad: it travels between fingers
@@ -183,7 +183,7 @@ def draw(meshcat: Meshcat, result: SimulationResult) -> None:
         for frame in np.flatnonzero(np.diff(marked, prepend=~marked[0])).tolist():
             recording.SetProperty(frame, path, "visible", bool(marked[frame]))
     if result.config.hand is not None:  # a fixed camera: up stays up
-        meshcat.SetCameraPose(HAND_VIEW, [0.0, 0.0, -0.6 * scene.object.size])
+        meshcat.SetCameraPose(*(scene.object.size * HAND_VIEW))
         return
     middle = look_at(meshcat, scene, result.measured["contact_point"])
     for frame, X in enumerate(_views(result, middle, times)):
