@@ -22,10 +22,9 @@ from pydrake.multibody.meshcat import ContactVisualizer, ContactVisualizerParams
 from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
-from contact_system import Scene, plan
+from contact_system import Scene
 from contact_system.checks import Array
 from contact_system.files import a_path, writing
-from contact_system.measures import windows
 from contact_system.plots.style import DISTURBED, INK, colour_of
 
 from .config import body_names
@@ -149,8 +148,8 @@ def look_at(meshcat: Meshcat, scene: Scene, points: Array | None = None) -> Arra
 
 def disturbances(result: SimulationResult) -> list[tuple[int, float, float]]:
     """Disturbances and pushes in a result: the body's number in `body_names`, start, stop, s."""
-    planned, names = plan(result.scene), body_names(result.scene)
-    found = [(i, *w) for i in range(len(result.scene.contacts)) for w in windows(planned, i)]
+    names = body_names(result.scene)
+    found = [(int(d.contact), d.start, d.stop) for d in result.scene.disturbances]
     found += [(names.index(push.on), push.start, push.stop) for push in result.config.pushes]
     return [event for event in found if event[1] < result.t[-1]]
 
