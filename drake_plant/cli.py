@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contact_system import SceneError, load_scene
 from contact_system.cli import file_name, results_folder, written
@@ -181,7 +182,7 @@ def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
         ("over mu N", "", field("friction_ratio"), ".3f"),
         ("in rolling", "N", field("rolling_friction"), ".3f"),
         ("slip over speed", "", field("rolling_slip"), ".1e"),
-        ("distance", "mm", 1e3 * np.array(field("distance")), ".3f"),
+        ("distance", "mm", 1e3 * field("distance"), ".3f"),
     )
 
 
@@ -198,8 +199,8 @@ def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
     )
 
 
-def _of_each(reports: Sequence[Any], key: str) -> list[Any]:
-    return [getattr(report, key) for report in reports]
+def _of_each(reports: Sequence[Any], key: str) -> NDArray[Any]:
+    return np.array([getattr(report, key) for report in reports])
 
 
 def _table(*columns: tuple[str, str, Iterable[Any], str]) -> Iterable[str]:
@@ -270,21 +271,17 @@ def _pushes(result: SimulationResult, opened: SimulationResult | None) -> Iterab
         yield from _explained("No push has begun by the end.")
         return
     reports = [r for _, r in rows]
+    field = partial(_of_each, reports)
     yield from _table(
         ("push on", "", [r.push.on for r in reports], "s"),
         ("from", "s", [r.push.start for r in reports], "g"),
         ("for", "s", [r.push.stop - r.push.start for r in reports], ".3g"),
         ("force", "N", [math.hypot(*r.push.force) for r in reports], ".3g"),
         ("loop", "", [loop for loop, _ in rows], "s"),
-        *(
-            (name, unit, 1e3 * np.array(_of_each(reports, key)), ".3f")
-            for name, key, unit in (
-                ("slip", "slip", "mm"),
-                ("off", "time_off", "ms"),
-                ("farthest", "farthest", "mm"),
-                ("left", "left", "mm"),
-            )
-        ),
+        ("slip", "mm", 1e3 * field("slip"), ".3f"),
+        ("off", "ms", 1e3 * field("time_off"), ".3f"),
+        ("farthest", "mm", 1e3 * field("farthest"), ".3f"),
+        ("left", "mm", 1e3 * field("left"), ".3f"),
     )
     yield from _explained(
         "Slip: summed while the finger touches, until the next push begins. Farthest, left: of the "
