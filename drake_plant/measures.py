@@ -27,7 +27,9 @@ ROLLS = 1e-2  # of sigma; a plan with less slip counts as rolling
 # A contact slides if slip is above so many times that before any disturbance, and so many m/s.
 SLIDING, CREEPING = 10.0, 1e-3
 CARRIED = 0.95  # of the weight; an object of which less is carried falls
-ASTRAY = 0.5  # of the path's length; a contact that is further off does not follow the plan
+# A contact does not follow the plan if it is off by more than this part of both the path's length
+# and the finger's size.
+ASTRAY = 0.5
 LATELY, MOMENT = 0.5, 0.01  # s before the end that are judged, and over which a speed is measured
 
 
@@ -82,6 +84,9 @@ class ContactReport:
         that of the plan before restarts [m].
     path : float
         Length of the contact's path over the whole scene [m].
+    astray : bool
+        Whether `distance` is more than half of `path` and of the finger's size, as if bodies touch
+        almost along a line, or at a second place.
     """
 
     name: str
@@ -105,17 +110,12 @@ class ContactReport:
     reported: float = math.nan
     distance: float
     path: float
+    astray: bool
 
     @property
     def disturbed(self) -> bool:
         """Whether a disturbance of this contact is over."""
         return not math.isnan(self.disturbed_slip)
-
-    @property
-    def astray(self) -> bool:
-        """Whether `distance` is more than half of `path`, as if bodies touch almost along a line,
-        or at a second place."""
-        return 0 < ASTRAY * self.path < self.distance
 
     @property
     def verdict(self) -> str:
@@ -309,14 +309,12 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
     for i, spans in enumerate(disturbed):
         found = _rolling(result, i, early, steady)
         found |= _rejection(result, i, spans, acting[:, 0], found["slip_before"])
-        name = result.scene.contact_name(i)
-        path = length(result.scene.way(i), result.scene.duration)
+        name, size = result.scene.contact_name(i), result.scene.contacts[i].finger.size
+        found["path"] = path = length(result.scene.way(i), result.scene.duration)
+        astray = found["distance"] > ASTRAY * max(path, size)
         pushed = any(p.on in (name, "object") and p.start < t[-1] for p in result.config.pushes)
-        reports.append(
-            ContactReport(
-                name=name, time_off=float(off[i]), kept=kept, pushed=pushed, path=path, **found
-            )
-        )
+        found |= {"kept": kept, "time_off": float(off[i]), "pushed": pushed, "astray": astray}
+        reports.append(ContactReport(name=name, **found))
     return reports
 
 

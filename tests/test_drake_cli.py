@@ -129,11 +129,14 @@ def test_time_off_the_object_counts_every_step_and_not_only_those_logged():
 # --- verdicts ------------------------------------------------------------------------------------
 
 
-def test_a_contact_that_does_not_follow_the_plan_is_reported_astray():
+def test_a_contact_that_does_not_follow_the_plan_is_reported_astray_and_none_that_rests():
     contact = cs.Contact(cs.Cylinder(0.02), object_at=(0, 0), finger_at=(0, 0), angle=0.05)
     obj, profile = cs.Cylinder(0.1), cs.Profile([0.05])
     scene = cs.Scene(object=obj, contacts=[contact], duration=0.12, profile=profile)
     assert contact_table(simulate(scene))[0].verdict == "astray"
+    scene = cs.load_scene("D1").replace(profile=cs.Profile([1e-6]), disturbances=[], duration=0.12)
+    report = contact_table(simulate(scene))[0]
+    assert report.distance > report.path and report.verdict == "undisturbed"
 
 
 @pytest.mark.parametrize(
