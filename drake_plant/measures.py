@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from contact_system import Scene, plan
 from contact_system.checks import Array, of_kind
 from contact_system.measures import REJECTED, windows
-from contact_system.scene.legs import length
 
 from .config import Push, body_names
 from .contact_monitor import SATURATED
@@ -83,7 +82,7 @@ class ContactReport:
         Greatest distance on the object, before any disturbance, of the measured contact point from
         that of the plan before restarts [m].
     path : float
-        Length of the contact's path over the whole scene [m].
+        Length of the planned path on the object [m].
     astray : bool
         Whether `distance` is more than half of `path` and of the finger's size, as if bodies touch
         almost along a line, or at a second place.
@@ -310,8 +309,7 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
         found = _rolling(result, i, early, steady)
         found |= _rejection(result, i, spans, acting[:, 0], found["slip_before"])
         name, size = result.scene.contact_name(i), result.scene.contacts[i].finger.size
-        found["path"] = path = length(result.scene.way(i), result.scene.duration)
-        astray = found["distance"] > ASTRAY * max(path, size)
+        astray = found["distance"] > ASTRAY * max(found["path"], size)
         pushed = any(p.on in (name, "object") and p.start < t[-1] for p in result.config.pushes)
         found |= {"kept": kept, "time_off": float(off[i]), "pushed": pushed, "astray": astray}
         reports.append(ContactReport(name=name, **found))
@@ -401,6 +399,7 @@ def _rolling(
     states, obj = result.planned["state"][:, i], result.scene.object
     root = obj.metric_root(states[:, 4], states[:, 5])
     speed = np.linalg.norm(np.einsum("mij,mj->mi", root, states[:, 6:8]), axis=1)  # on the object
+    steps = np.diff(result.planned["contact_point"][:, i], axis=0)
     slips = of_plan > ROLLS * result.scene.speeds(t)[:, i]
     moves = before & ~slips & (speed > STANDING * speed.max())  # a path may start or end at rest
     return {
@@ -414,6 +413,7 @@ def _rolling(
         "rolling_slip": _mean(slip[moves] / speed[moves], time[moves]),
         "slip_before": _greatest(slip[before]),
         "distance": _greatest(np.linalg.norm(misses(result)[before, i], axis=1)),
+        "path": float(np.linalg.norm(steps, axis=1).sum()),
     }
 
 
