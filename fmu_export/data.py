@@ -20,7 +20,7 @@ from contact_system.surfaces.base import OfLengths
 from .equations import TOLERANCE, equations, frame_size, measured
 from .variables import Table
 
-VERSION = 20261209
+VERSION = 20261210
 KINDS = ("calculated", "independent", "constant", "fixed", "tunable", "input", "exact")
 _SURFACE, _TABLE = f"{1 + 2 * N_TABLES}q4i2d", "8i3q"
 
@@ -66,9 +66,9 @@ class _Data:
         return [*t.sizes, t.twin, *code, self.doubles(t.numbers)]
 
 
-def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
+def scene_data(table: Table, fmi_version: str, *interfaces: str) -> tuple[bytes, str]:
     """The bytes of scene.bin, and the instantiation token (FMI 3) or GUID (FMI 2) inside them, by
-    which it is matched with its description; described: what else it depends on."""
+    which it is matched with its description."""
     scene, rows, data = table.scene, table.rows, _Data()
     contacts = [_contact(table, i, data) for i in range(len(scene.contacts))]
     orders = _orders(scene.object, table.first["object"])
@@ -78,7 +78,7 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
         corners |= {stretch.start for stretch in scene.way(i)[1:]}
     starts = [group[0] for group in table.groups]
     owners = np.repeat([-1, *range(len(starts))], np.diff([0, *starts, len(rows)]))
-    sizes = {v.reference: v.size for v in (table.joined if table.arrays else rows)}
+    sizes = {v.reference: v.size for v in table.listed(fmi_version)}
     values = [
         (owner, KINDS.index(v.kind), sizes.get(v.reference, 0)) for owner, v in zip(owners, rows)
     ]
@@ -103,7 +103,7 @@ def scene_data(table: Table, *described: str) -> tuple[bytes, str]:
         *data.rows([(t,) for t in sorted(corners)], "d"),
         *data.rows(orders),
     ]
-    known = repr((__version__, described, head)).encode(), *data.parts
+    known = repr((__version__, fmi_version, interfaces, head)).encode(), *data.parts
     token = "{" + hashlib.sha256(b"".join(known)).hexdigest()[:32] + "}"
     head += data.texts(token), data.size
     checked = b"".join([struct.pack(f"<{len(head)}q", *head), *data.parts])

@@ -17,7 +17,6 @@ from pathlib import Path
 from string import Template
 
 from contact_system import __version__
-from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
 from .build import SOURCES
@@ -75,7 +74,7 @@ def model_description(
     ET.SubElement(root, "DefaultExperiment", experiment, stepSize=_number(horizon / steps))
     variables = ET.SubElement(root, "ModelVariables")
     exchange = "ModelExchange" in interfaces
-    variables.extend(_variable(v, fmi_version, exchange) for v in listed(table, fmi_version))
+    variables.extend(_variable(v, fmi_version, exchange) for v in table.listed(fmi_version))
     root.append(_structure(table, fmi_version))
     return xml_text(root)
 
@@ -84,15 +83,6 @@ def model_identifier(scene: Scene) -> str:
     """The scene's name as a C identifier, which names files too."""
     name = re.sub(r"\W", "_", scene.name[:100], flags=re.ASCII)
     return name if re.match("[A-Za-z]", name) else f"scene_{name}".rstrip("_")
-
-
-def listed(table: Table, fmi_version: str) -> list[Variable]:
-    """The variables in the order of the file; FMI 2 leaves out the independent one."""
-    if fmi_version == "2.0":
-        if table.arrays:
-            raise ContactSystemError("arrays: FMI 2.0 has none; choose FMI 3.0")
-        return table.rows[1:]
-    return table.joined if table.arrays else table.rows
 
 
 # --- head ----------------------------------------------------------------------------------------
@@ -226,7 +216,7 @@ def _structure(table: Table, fmi_version: str) -> ET.Element:
     states = set(table.states)
     parameters = {v.reference for v in table.rows if v.causality == "parameter"}
     running = states.union(table.inputs, () if fmi_version == "2.0" else {0, *parameters})
-    variables = listed(table, fmi_version)
+    variables = table.listed(fmi_version)
     # an FMI 3 array is known by the reference of its first element
     owner = {v.reference + i: v.reference for v in variables for i in range(v.size)}
     structure = ET.Element("ModelStructure")
@@ -297,7 +287,7 @@ def terminals(table: Table) -> str:
     ET.SubElement(picture, "Icon", box)
     everything = ET.SubElement(root, "Terminals")
     made: dict[tuple[str, str], ET.Element] = {}
-    for v in listed(table, "3.0"):
+    for v in table.listed("3.0"):
         if v.causality not in ("input", "output"):
             continue
         (i,) = re.findall(r"contact\[(\d+)\]", v.name)

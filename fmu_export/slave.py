@@ -79,7 +79,7 @@ class _Slave:
         self.scene, self._logger, self._said = scene, logger or _log, ""
         folder = Path(tempfile.mkdtemp(prefix="contact-system-"))
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        data, token = scene_data(table)
+        data, token = scene_data(table, self._version)
         text = model_description(table, token, self._version, ("CoSimulation",))
         (folder / "modelDescription.xml").write_text(text, "utf-8")
         (folder / "resources").mkdir()

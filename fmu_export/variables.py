@@ -19,7 +19,7 @@ import numpy as np
 
 from contact_system.caching import cached_property
 from contact_system.checks import flag, one_of
-from contact_system.errors import SceneError
+from contact_system.errors import ContactSystemError, SceneError
 from contact_system.scene import Scene, require_scene
 from contact_system.surfaces import Quadric, Surface
 from contact_system.surfaces.base import OfLengths
@@ -104,6 +104,14 @@ class Table:
         """The variables with arrays instead of their elements."""
         arrays = groupby(self.rows, key=lambda v: v.within[0] or v.name)
         return [array_of([*elements]) for _, elements in arrays]
+
+    def listed(self, fmi_version: str) -> list[Variable]:
+        """The variables that importers see, in order; FMI 2 leaves out the independent one."""
+        if fmi_version == "2.0":
+            if self.arrays:
+                raise ContactSystemError("arrays: FMI 2.0 has none; choose FMI 3.0")
+            return self.rows[1:]
+        return self.joined if self.arrays else self.rows
 
 
 MEASUREMENTS = ("nothing", "states", "pose")

@@ -83,7 +83,7 @@ def written(tmp_path):
     def write(scene, version, arrays=False, **options):
         scene = cs.load_scene(scene) if isinstance(scene, str) else scene
         table = variable_table(scene, arrays=arrays)
-        text = model_description(table, scene_data(table)[1], version, **options)
+        text = model_description(table, scene_data(table, version)[1], version, **options)
         (tmp_path / "modelDescription.xml").write_text(text, encoding="utf-8")
         return tmp_path
 

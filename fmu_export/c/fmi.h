@@ -2,7 +2,6 @@
    include this, fmi2.c and fmi3.c define what differs:
 
    FMI(name)     a function's name
-   SIZE(c, r)    how many values a reference has, 0: there is no such reference
    status_t      with OK, DISCARD, FAILED;  logger_t, BOOLEAN, BYTE  types
    ROOM(n)       FMI 3's parameter for how many values an array has; ROOM_OF(count, n): that number
    TOKEN         how the standard calls the token
@@ -157,7 +156,7 @@ EXPORT status_t FMI(Reset)(void *instance) {
 /* Each element of the variables vr; r: its reference */
 #define EACH_VALUE(r, vr, count)                                                                   \
   for (size_t k_ = 0; k_ < (count); k_++)                                                          \
-    for (unsigned r = (vr)[k_], end_ = r + SIZE(c, r); r < end_; r++)
+    for (unsigned r = (vr)[k_], end_ = r + size_of(c->model, r); r < end_; r++)
 
 /* --- values ----------------------------------------------------------------------------------- */
 
@@ -166,8 +165,8 @@ static status_t check_values(component_t *c, const unsigned vr[], size_t count, 
                              size_t room) {
   size_t all = 0;
   NEEDS(!count || (vr && value));
-  for (size_t k = 0; k < count; all += SIZE(c, vr[k]), k++)
-    if (!SIZE(c, vr[k]))
+  for (size_t k = 0; k < count; all += size_of(c->model, vr[k]), k++)
+    if (!size_of(c->model, vr[k]))
       REFUSE("there is no variable with value reference %u; see modelDescription.xml", vr[k]);
   if (all != room)
     REFUSE("room for %lu values, but the variables have %lu", (unsigned long)room,
@@ -208,11 +207,11 @@ EXPORT status_t FMI(GetReal)(void *instance, const unsigned vr[], size_t count,
   BEGIN(GETTABLE);
   if (check_values(c, vr, count, value, ROOM_OF(count, n))) return FAILED;
   status_t worst = OK;
-  for (size_t k = 0; k < count; value += SIZE(c, vr[k]), k++) {
+  for (size_t k = 0; k < count; value += size_of(c->model, vr[k]), k++) {
     if (c->now->phase == INSTANTIATED && c->model->values[vr[k]].kind == CALCULATED)
       REFUSE("%s is calculated and has no start value; ask from initialization on",
              name_of(c->model, vr[k]));
-    const status_t s = get_values(c, vr[k], (long)SIZE(c, vr[k]), value);
+    const status_t s = get_values(c, vr[k], (long)size_of(c->model, vr[k]), value);
     worst = s > worst ? s : worst;
   }
   return worst;

@@ -30,8 +30,6 @@ typedef struct {
 #define FAILED fmi2Error
 #define logger_t fmi2CallbackLogger
 #define BYTE fmi2Byte
-/* each element is a variable; time, reference 0, is none */
-#define SIZE(c, r) (unsigned)((r) > 0 && (r) < (unsigned)(c)->model->n_values)
 #define BOOLEAN int
 #define ROOM(n)
 #define ROOM_OF(count, n) (count)

@@ -16,8 +16,6 @@ typedef void (*fmi3IntermediateUpdateCallback)(void), (*fmi3ClockUpdateCallback)
 #define FAILED fmi3Error
 #define logger_t fmi3LogMessageCallback
 #define BYTE uint8_t
-#define SIZE(c, r)                                                                                 \
-  ((r) < (unsigned)(c)->model->n_values ? (unsigned)(c)->model->values[r].size : 0u)
 #define BOOLEAN _Bool
 #define ROOM(n) , size_t n
 #define ROOM_OF(count, n) (n)

@@ -54,6 +54,11 @@ static inline size_t n_parameters(const model_t *m, long i, int side) {
   return (size_t)surface_of(m, i, side)->n_numbers - 1; /* besides its sign */
 }
 
+/* How many values the variable of a reference has; 0: there is no such variable */
+static inline unsigned size_of(const model_t *m, unsigned reference) {
+  return reference < (unsigned)m->n_values ? (unsigned)m->values[reference].size : 0;
+}
+
 static const char *name_of(const model_t *m, unsigned reference) {
   const char *name = data_at(m, m->head->names);
   while (reference--) name += strlen(name) + 1;

@@ -13,7 +13,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define DATA_VERSION 20261209
+#define DATA_VERSION 20261210
 
 typedef struct {
   int64_t at, count;
@@ -43,7 +43,7 @@ typedef struct {
 typedef struct {
   int64_t owner; /* its contact, -1: of all */
   int64_t kind;  /* CALCULATED and so on */
-  int64_t size;  /* of the array that it is the first element of, in FMI 3; 0: not the first */
+  int64_t size;  /* of the variable of which it is the first element; 0: of none */
 } value_t;
 
 /* groups of a contact's values; from the states on they are results */
