@@ -5,6 +5,11 @@
 
 #include "model.c"
 
+/* Each element of the variables vr; r: its reference */
+#define EACH_VALUE(r, vr, count)                                                                   \
+  for (size_t k_ = 0; k_ < (count); k_++)                                                          \
+    for (unsigned r = (vr)[k_], end_ = r + size_of(c->model, r); r < end_; r++)
+
 /* The values of contact i from a group on */
 static inline double *values_of(const component_t *c, long i, int group) {
   return c->value + at_of(c->model, i, group);
@@ -83,6 +88,7 @@ static const char *make_component(component_t *c, const char *resources) {
 #include "plans.c"
 #include "events.c"
 #include "results.c"
+#include "derivatives.c"
 
 /* ---- what is set ---- */
 

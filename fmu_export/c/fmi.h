@@ -153,11 +153,6 @@ EXPORT status_t FMI(Reset)(void *instance) {
   return OK;
 }
 
-/* Each element of the variables vr; r: its reference */
-#define EACH_VALUE(r, vr, count)                                                                   \
-  for (size_t k_ = 0; k_ < (count); k_++)                                                          \
-    for (unsigned r = (vr)[k_], end_ = r + size_of(c->model, r); r < end_; r++)
-
 /* --- values ----------------------------------------------------------------------------------- */
 
 /* Refuses missing pointers, unknown references and a wrong number of values. */
@@ -228,42 +223,6 @@ EXPORT status_t FMI(SetReal)(void *instance, const unsigned vr[], size_t count,
     if (wrong) return wrong;
   }
   EACH_VALUE(r, vr, count) set_value(c, r, *value++);
-  return OK;
-}
-
-/* Jacobian times seed, by derivatives in one direction; or transposed, Jacobian^T times seed, by
-   derivatives along each known, L at once. */
-static status_t multiply(component_t *c, int transposed, const unsigned unknowns[],
-                         size_t n_unknowns, const unsigned knowns[], size_t n_knowns,
-                         const double *seed, double *value, size_t n) {
-  size_t at = 0;
-  if (n) memset(value, 0, n * sizeof *value);
-  for (long i = 0; i < c->model->n_contacts; i++) c->live[i].derived = 0;
-  EACH_VALUE(r, unknowns, n_unknowns)
-  c->live[c->model->values[r].owner].derived |= !transposed || seed[at++] != 0.0;
-  for (size_t done = 0; done < (transposed ? n : 1); done += L) {
-    const size_t more = !transposed ? 1 : n - done < L ? n - done : L;
-    at = 0;
-    memset(c->tangents, 0, (size_t)c->model->n_values * sizeof *c->tangents);
-    EACH_VALUE(r, knowns, n_knowns) {
-      if (!transposed)
-        c->tangents[r][0] += seed[at];
-      else if (at >= done && at < done + more)
-        c->tangents[r][at - done] = 1.0;
-      at++;
-    }
-    const status_t s = derive(c);
-    if (s) return s;
-    at = 0;
-    EACH_VALUE(r, unknowns, n_unknowns) {
-      for (size_t d = 0; d < more && (!transposed || seed[at] != 0.0); d++) {
-        const status_t wrong = check_found(c, r, c->tangents[r] + d, 1);
-        if (wrong) return wrong;
-        value[transposed ? done + d : at] += (transposed ? seed[at] : 1.0) * c->tangents[r][d];
-      }
-      at++;
-    }
-  }
   return OK;
 }
 
