@@ -40,7 +40,7 @@ typedef struct {
   int phase, stepping;
   int settled; /* segments have the present inputs and gain */
   int pending; /* time is at an edge of a window or leg, and values are still those before it */
-  int jumped;  /* a window has begun or ended, and the importer has not been told */
+  int jumped;  /* in Model Exchange: a window has begun or ended, and no update has told so */
   int ended;   /* the last step was to pass the limit, or an event was at the limit */
   double time, stop_time;
   double acts_at; /* values are of this time: `time`, or the edge that it is at, or while pending

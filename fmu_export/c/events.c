@@ -17,10 +17,11 @@ static void pass_edges(component_t *c) {
   now->acts_at = snapped(c, now->time);
   forget_values(c);
   now->pending = 0;
-  if (!now->stepping) now->ended = reached(now->time, now->limit);
+  if (now->stepping) return;
+  now->ended = reached(now->time, now->limit);
+  if (!(now->phase & (EVENT | CONTINUOUS))) return;
   for (long k = 0; k < n_edges(c->model); k++)
     now->jumped |= before < edge_of(c, k) && edge_of(c, k) <= now->acts_at;
-  if (now->stepping || !(now->phase & (EVENT | CONTINUOUS))) return;
   for (long i = 0; i < c->model->n_contacts; i++) {
     for (long k = 1; k < n_legs(c->model, i); k++) {
       const leg_t leg = leg_of(c, i, k);

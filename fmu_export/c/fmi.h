@@ -385,9 +385,8 @@ EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], size
 static void update(component_t *c, BOOLEAN *terminate, BOOLEAN *values, BOOLEAN *next_defined,
                    double *next_time) {
   pass_edges(c);
-  const int stepping = c->now->stepping;
   const double next = next_edge(c);
-  *terminate = c->now->ended && !stepping, *values = c->now->jumped && !stepping;
+  *terminate = c->now->ended && !c->now->stepping, *values = c->now->jumped;
   *next_defined = next < HUGE_VAL, *next_time = *next_defined ? next : 0.0;
   c->now->jumped = 0;
 }
