@@ -256,8 +256,10 @@ def companions(table: Table, fmi_version: str) -> dict[str, bytes]:
         icon: HERE.joinpath("icon.png").read_bytes(),
         "documentation/index.html": page_text.encode(),
     }
-    license_text = metadata.distribution("contact-system").read_text("licenses/LICENSE")
-    files["documentation/licenses/license.txt"] = (license_text or "MIT").encode()
+    # Python finds a clone's own metadata first, which have no licence
+    installed = metadata.distributions(name="contact-system")
+    texts = filter(None, (found.read_text("licenses/LICENSE") for found in installed))
+    files["documentation/licenses/license.txt"] = next(texts, "MIT").encode()
     if fmi_version == "3.0":
         files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(table).encode()
     return files

@@ -53,7 +53,9 @@ def test_an_exported_fmu_is_valid_less_than_700_kb_and_complete(version):
     fmu = exported(cs.load_scene("K4"), version)
     assert validate_fmu(str(fmu.path)) == []
     assert fmu.path.stat().st_size < 700_000
-    names = set(zipfile.ZipFile(fmu.path).namelist())
+    archive = zipfile.ZipFile(fmu.path)
+    names = {*archive.namelist()}
+    assert b"Permission is hereby" in archive.read("documentation/licenses/license.txt")
     wanted = {"modelDescription.xml", "documentation/index.html", "sources/buildDescription.xml"}
     assert wanted | {"resources/scene.bin"} <= names and any(n.endswith(".png") for n in names)
     assert any(n.startswith("sources/") and n.endswith(".c") for n in names)
