@@ -32,10 +32,7 @@ static const char *put_frame(component_t *c, long i, int side, double frame[6],
                        *t = tables[A_START];
   const double *own =
       starts + at_of(c->model, i, OF_STATES) + (side ? frame_of(c->model, i, 0) : 0);
-  const int64_t at = c->model->contacts[i].parameters[side];
-  const int set =
-      memcmp(c->value + at, starts + at, n_parameters(c->model, i, side) * sizeof *starts);
-  if (t && (set || tangents) && !memcmp(frame, own, 6 * sizeof *frame)) {
+  if (t && !memcmp(frame, own, 6 * sizeof *frame)) {
     double *r = load_surface(c, i, side, t, tangents != NULL);
     memcpy(r, row + (side ? K_PLACE_2 : K_PLACE_1), 2 * sizeof *r);
     r[2] = side ? 0.0 : -row[K_ANGLE];
