@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import io
 import json
 import re
-import subprocess
 
 import numpy as np
 import pytest
 
 pytest.importorskip("pydrake")
 pytest.importorskip("matplotlib")
+pytest.importorskip("websockets")
 
 from matplotlib.image import imread
 
 import contact_system as cs
-from benchmarks.chromium import PROGRAM
+from benchmarks.chromium import PROGRAM, Chromium
 from contact_system.plots.style import COLOURS, DISTURBED
 from drake_plant import Push, StationConfig, simulate
 
@@ -34,21 +35,17 @@ THINGS = {
     "names": [f"{finger}/name" for finger in FINGERS],
     "the disturbance": [f"{FINGERS[0]}/disturbed"],
 }
-SHOOT = """<script>
-setTimeout(() => {
-  const pictures = [];
-  const shoot = (time, hidden) => {
-    viewer.animator.pause();
-    viewer.animator.seek(time);
-    for (const path of hidden) viewer.set_property(path.split("/"), "visible", false);
-    pictures.push(`<img src="${viewer.capture_image(%d, %d)}">`);
-    for (const path of hidden) viewer.set_property(path.split("/"), "visible", true);
-  };
-  for (const [time, hidden] of %s) shoot(time, hidden);
-  document.body.innerHTML = pictures.join("");
-  document.body.style = "margin: 0; overflow: hidden; display: flex";
-}, 1000);
-</script></body>"""
+SHOOT = """(() => {
+  const show = on => hidden.forEach(path => viewer.set_property(path.split("/"), "visible", on));
+  const [time, hidden] = %s;
+  viewer.animator.pause();
+  viewer.animator.seek(time);
+  show(false);
+  const picture = viewer.capture_image(%d, %d);
+  show(true);
+  return picture;
+})()"""
+"""The film's picture at a time, without some things, as a data URL."""
 
 
 @pytest.fixture(scope="module")
@@ -63,14 +60,12 @@ def film(tmp_path_factory):
 
 def shots(film, wanted):
     """The browser's pictures (HEIGHT, WIDTH, 3), one for each (time, paths of things to hide)."""
-    page, picture = film.with_name("shoot.html"), film.with_suffix(".png")
-    script = SHOOT % (WIDTH, HEIGHT, json.dumps(wanted))
-    page.write_text(film.read_text().replace("</body>", script))
-    words = ["--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    words += ["--virtual-time-budget=4000", f"--window-size={WIDTH * len(wanted)},{HEIGHT}"]
-    command = [PROGRAM, *words, f"--screenshot={picture}", page.as_uri()]
-    subprocess.run(command, check=True, capture_output=True, timeout=300)
-    return np.split(imread(picture)[..., :3], len(wanted), axis=1)
+    with Chromium(film.as_uri()) as page:
+        page.wait("window.viewer && viewer.animator.duration > 0", 60)
+        for shot in wanted:
+            _, data = page.run(SHOOT % (json.dumps(shot), WIDTH, HEIGHT)).split(",")
+            yield imread(io.BytesIO(base64.b64decode(data)))[..., :3]
+        assert not page.errors
 
 
 def differing_pixels(picture, other):
