@@ -174,6 +174,20 @@ def test_conforming_surfaces_and_a_normal_into_the_body_are_refused(obj, finger,
         cs.measured_states(scene, *at(cs.plan(scene), 0.5))
 
 
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_whether_bodies_conform_does_not_depend_on_the_unit_of_length(unit):
+    contact, profile = cs.Contact(cs.Sphere(0.1 * unit), (1, 1)), cs.Profile([0.1 * unit])
+    for gap, conforms in ((1e-5, False), (1e-7, True), (0.0, True)):
+        bowl = cs.Sphere(0.1 * unit * (1 + gap), inside=True)
+        plan = cs.plan(cs.Scene(object=bowl, contacts=[contact], profile=profile, duration=1))
+        if conforms:
+            with pytest.raises(cs.ConformalContact, match="contact 0: .*change a radius"):
+                cs.measured_states(plan.scene, *at(plan, 0.0))
+        else:
+            off = cs.measured_states(plan.scene, *at(plan, 0.0)) - plan.states(0.0)[0]
+            assert np.abs(off).max() < 1e-9
+
+
 @pytest.mark.parametrize(
     ("which", "given", "words"),
     [

@@ -1,4 +1,4 @@
-"""Pose, twist, slip and acceleration of plans; bodies that conform (theory section 8)."""
+"""Pose, twist, slip and acceleration of plans (theory section 8)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from conftest import SURFACES, assert_twist_is_the_rate_of_the_pose, derivative,
 from oracles.formulas import path_velocities, reflection
 
 import contact_system as cs
-from contact_system import ConformalContact
 
 T = np.linspace(0.05, 0.95, 13)
 PAIRS = [(name, "sphere") for name in SURFACES] + [("sphere", name) for name in SURFACES]
@@ -56,30 +55,6 @@ def test_twist_of_a_small_finger_keeps_its_digits_on_a_large_object():
     scene = cs.Scene(object=obj, contacts=[contact], profile=profile, duration=1)
     speed = np.linalg.norm(cs.plan(scene).twist(T)[:, 0, 3:], axis=1)  # of the finger's centre
     assert speed == pytest.approx(0.01 * (1 + 1e-6), rel=1e-14, abs=0)
-
-
-# --- conforming bodies
-
-
-def measuring_error(finger: cs.Surface, obj: cs.Surface) -> np.ndarray:
-    """States measured from a plan's pose and twist at the start, less the planned ones."""
-    contact, profile = cs.Contact(finger=finger, object_at=(1, 1)), cs.Profile([finger.radius])
-    scene = cs.Scene(object=obj, contacts=[contact], profile=profile, duration=1)
-    plan = cs.plan(scene)
-    motion = plan.pose(0.0)[0], plan.twist(0.0)[0], plan.points(0.0)[0, :, 1]
-    return cs.measured_states(scene, *motion) - plan.states(0.0)[0]
-
-
-@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
-def test_whether_bodies_conform_does_not_depend_on_the_unit_of_length(unit):
-    ball = cs.Sphere(0.1 * unit)
-    for gap, conforms in ((1e-5, False), (1e-7, True), (0.0, True)):
-        bowl = cs.Sphere(0.1 * unit * (1 + gap), inside=True)
-        if conforms:
-            with pytest.raises(ConformalContact, match="contact 0: .*change a radius"):
-                measuring_error(ball, bowl)
-        else:
-            assert np.abs(measuring_error(ball, bowl)).max() < 1e-9
 
 
 # --- relative acceleration
