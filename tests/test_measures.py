@@ -71,12 +71,6 @@ def test_distance_from_a_great_circle_is_zero_on_it_and_that_of_a_circle_of_lati
     assert np.abs(cs.great_circle_distance(small)) == pytest.approx(np.sin(0.1), rel=1e-12)
 
 
-@pytest.mark.parametrize("measure", [cs.rejections, cs.summary])
-def test_a_scene_given_instead_of_its_plan_is_refused(measure):
-    with pytest.raises(ContactSystemError, match="plan = Scene.*: give a Plan, such as plan"):
-        measure(cs.load_scene("K1"))
-
-
 @pytest.mark.parametrize("points", [[], np.zeros((5, 1, 2, 3)), [[0, 0, math.nan]], "plan", None])
 def test_great_circle_distance_refuses_what_is_not_points_of_one_curve(points):
     with pytest.raises(ContactSystemError, match=r"shape .*\(n, 3\), such as plan.points"):

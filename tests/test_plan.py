@@ -10,6 +10,7 @@ import pytest
 from conftest import RESULTS, disturbed, one_contact, seven_contacts
 
 import contact_system as cs
+from contact_system import plots
 
 SHAPES = {"states": (9,), "points": (2, 3), "slip": (2,), "acceleration": (2,), "pose": (4, 4)}
 SHAPES |= {"twist": (6,), "slip_speed": (), "carried": (2, 3)}
@@ -84,6 +85,16 @@ def test_times_may_be_any_real_numbers_in_any_array(tmp_path):
 def test_wrong_arguments_of_plan_are_refused(given, words):
     with pytest.raises(cs.SceneError, match=words):
         cs.plan(**{"scene": one_contact(), **given})
+
+
+def test_a_scene_given_instead_of_its_plan_is_refused(tmp_path):
+    scene, file = cs.load_scene("K1"), tmp_path / "x.png"
+    calls = [(measure, scene) for measure in (cs.rejections, cs.summary)]
+    calls += [(draw, scene, file) for draw in (plots.plot, plots.plot_slip, plots.plot_curves)]
+    calls += [(draw, cs.plan(scene), file, scene) for draw in (plots.plot, plots.plot_slip)]
+    for ask, *given in calls:
+        with pytest.raises(cs.ContactSystemError, match="plan = Scene.*: give a Plan, such as"):
+            ask(*given)
 
 
 @pytest.mark.parametrize("edge", [0.0675, 0.14, 0.7, 0.7 + 1e-15])

@@ -126,12 +126,3 @@ def test_a_picture_that_cannot_be_written_is_refused(tmp_path):
         with pytest.raises(cs.ContactSystemError, match=r"dpi = .*: give a (finite )?number"):
             plots.plot_slip(plan, tmp_path / "x.png", dpi=dpi)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_scene_given_instead_of_its_plan_is_refused(tmp_path):
-    scene = cs.load_scene("K1")
-    calls = [(draw, scene) for draw in (plots.plot, plots.plot_slip, plots.plot_curves)]
-    calls += [(draw, cs.plan(scene), scene) for draw in (plots.plot, plots.plot_slip)]
-    for draw, first, *other in calls:
-        with pytest.raises(cs.ContactSystemError, match=r"give a Plan, such as plan\(scene\)"):
-            draw(first, tmp_path / "x.png", *other)
