@@ -157,16 +157,11 @@ def test_a_sample_time_at_a_pole_is_left_out_of_the_files(tmp_path, capsys):
 
 def test_mistakes_in_names_and_files_are_refused_in_one_line(tmp_path, capsys):
     assert "did you mean 'torus'" in _error(capsys, "run", "tors")
-    (tmp_path / "broken.toml").write_text('name = "x"\nduration = \n')
+    (broken := tmp_path / "broken.toml").write_text('name = "x"\nduration = \n')
     assert "broken.toml'?)" in _error(capsys, "run", tmp_path / "broken")
-    assert "line 2" in _error(capsys, "run", tmp_path / "broken.toml")
-    cs.save_scene(cs.load_scene("K1"), tmp_path / "k.toml")
-    text = (tmp_path / "k.toml").read_text().replace("duration", "duraton", 1)
-    (tmp_path / "k.toml").write_text(text)
-    error = _error(capsys, "explain", tmp_path / "k.toml")
-    assert "'duraton' is unknown (did you mean 'duration'?)" in error
-    error = _error(capsys, "run", "C1", "--no-plots", "--out", tmp_path / "k.toml")
-    assert f"no folder '{tmp_path / 'k.toml'}': " in error and "another one with --out" in error
+    assert "line 2" in _error(capsys, "run", broken)
+    error = _error(capsys, "run", "C1", "--no-plots", "--out", broken)
+    assert f"no folder '{broken}': " in error and "another one with --out" in error
 
 
 @pytest.mark.parametrize(
@@ -176,8 +171,6 @@ def test_mistakes_in_names_and_files_are_refused_in_one_line(tmp_path, capsys):
         (["--rho", "5"], "scene 'K1': --rho 5: the gain law 'path' takes eta; give --eta"),
         (["--gain", "guaranteed", "--eta", "5"], "--eta 5: the gain law 'guaranteed' takes rho"),
         (["--tolerance", "0"], "tolerance = 0.0"),
-        (["--tolerance", "nan"], "tolerance = nan"),
-        (["--gain", "path", "--eta", "inf"], "eta = inf"),
     ],
 )
 def test_wrong_numbers_are_refused_in_one_line(words, said, tmp_path, capsys):
