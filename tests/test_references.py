@@ -15,16 +15,10 @@ from oracles.load import load, scene_of
 import contact_system as cs
 from benchmarks import accuracy
 
-FILES = {
-    "k_scenes": ["K1", "K2", "K3", "K4"],
-    "k_scenes_time": ["K1", "K2"],
-    "torus_slip": ["torus"],
-    "ellipsoid_slip": ["path 1e2", "path 1e4", "path peak 1e7", "time 1e2", "time 1e4", "time 1e6"],
-    "sphere_slip": ["path 1e2", "path 1e4", "path peak 1e7", "time 1e2", "time 1e4", "time 1e6"],
-}
-CASES = [(file, name) for file, names in FILES.items() for name in names]
+FILES = ("k_scenes", "k_scenes_time", "torus_slip", "ellipsoid_slip", "sphere_slip", "slip_peaks")
 
 reference = functools.cache(load)
+CASES = [(file, name) for file in FILES for name in reference(file)["scenes"]]
 
 
 def true_values(file: str, name: str, key: str) -> np.ndarray:
