@@ -219,22 +219,20 @@ def slip_scenes(surface: str, radii: tuple[float, ...]) -> dict[str, Any]:
     }
 
 
-def make_ellipsoid_slip() -> None:
-    """Slip on the triaxial ellipsoid from mild to stiff."""
-    scenes = slip_scenes("ellipsoid", (0.3, 0.2, 0.1))
-    save("ellipsoid_slip", {"about": ABOUT, "scenes": scenes})
+BODIES = {"sphere": (0.1,), "ellipsoid": AXES}
 
 
-def make_sphere_slip() -> None:
-    """Slip on the sphere from mild to stiff."""
-    save("sphere_slip", {"about": ABOUT, "scenes": slip_scenes("sphere", (0.1,))})
+def make_slip() -> None:
+    """Slip on the sphere and on the triaxial ellipsoid from mild to stiff, a file for each."""
+    for surface, radii in BODIES.items():
+        save(f"{surface}_slip", {"about": ABOUT, "scenes": slip_scenes(surface, radii)})
 
 
 def make_slip_peaks() -> None:
     """Slip whose greatest eta sigma^2 is 1, 1e3 and 1e5; 1e7 is in the files above."""
     scenes = {}
-    for surface, radii in (("sphere", (0.1,)), ("ellipsoid", AXES)):
-        case = replace(slip_case(surface, radii), law="path")
+    for surface, radii in BODIES.items():
+        case = slip_case(surface, radii)
         for peak in (1e0, 1e3, 1e5):
             chosen = replace(case, eta=peak / 0.401**2)
             record = scene_record([chosen], 11, stiff=chosen.eta > 1e5)
@@ -371,8 +369,7 @@ MAKERS: dict[str, Callable[[], None]] = {
     "k_scenes": make_k_scenes,
     "torus_slip": make_torus_slip,
     "ellipsoid_geodesics": make_ellipsoid_geodesics,
-    "ellipsoid_slip": make_ellipsoid_slip,
-    "sphere_slip": make_sphere_slip,
+    "slip": make_slip,
     "slip_peaks": make_slip_peaks,
     "geodesics": make_geodesics,
 }
