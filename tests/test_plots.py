@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -112,6 +113,19 @@ def test_curves_are_numbered_as_in_the_legend_and_coinciding_ones_have_one_label
         with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text
             plots.plot_curves(cs.plan(scene), tmp_path / "x.svg")
         assert f">{text}<" in (tmp_path / "x.svg").read_text()
+
+
+def test_the_last_line_of_the_longest_legend_is_in_the_picture(tmp_path):
+    matplotlib = pytest.importorskip("matplotlib")
+    start = {"legs": [cs.Leg(0, 0.1, 1)], "object_velocity": "rest"}
+    contacts = [cs.Contact(FINGER, (1.0, 0.6 * k), **start) for k in range(7)]
+    push = cs.ObjectRateOffset("all", 0.1, 0.2, (0.1, 0))
+    scene = _scene(cs.Sphere(0.1)).replace(contacts=contacts, disturbances=[push])
+    with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text
+        other = cs.plan(scene.replace(gain=cs.Gain.time(9)))
+        plots.plot(cs.plan(scene), tmp_path / "x.svg", other)
+    (y,) = re.findall(r'y="([\d.]+)"[^>]*>the finger\'s frame', (tmp_path / "x.svg").read_text())
+    assert float(y) < 430  # of 432 points
 
 
 def test_a_picture_that_cannot_be_written_is_refused(tmp_path):

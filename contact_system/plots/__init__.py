@@ -198,8 +198,10 @@ def _draw_key(ax: Any, plan: Plan, plans: Sequence[Plan] = (), bodies: bool = Tr
         if any(contact.legs for contact in plan.scene.contacts):
             entries.append(_entry("number of a leg", **NUMBER))
             entries.append(_entry("the finger's frame", color=INK, linewidth=1.3))
+    room = 72 * ax.bbox.height / ax.figure.dpi  # points; a line takes 1.6 of its size
+    size = min(STYLE["legend.fontsize"], room / (1.6 * len(entries)))
     ax.set_axis_off()
-    ax.legend(handles=entries, loc="center left", frameon=False, handlelength=2.2)
+    ax.legend(handles=entries, loc="center left", frameon=False, handlelength=2.2, fontsize=size)
 
 
 # --- slip --------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ GREY = "#5a6370"
 BODY = ["#8f9aa6", "#f3f5f7"]  # a surface turned away from the light, and towards it
 HOLLOW = ["#6d7884", "#b9c2cb"]  # the same for its back
 
-STYLE = {
+STYLE: dict[str, Any] = {
     "font.size": 11,
     "axes.titlesize": 12,
     "axes.titleweight": "bold",
