@@ -120,8 +120,7 @@ def compiler() -> tuple[str, ...]:
 
 def get_requires_for_build_wheel(config_settings=None):
     """What pip must download for a build: also a compiler where this system has none."""
-    asked = build_meta.get_requires_for_build_wheel(config_settings)
-    return asked if system_compiler() else [*asked, ZIGLANG]
+    return [] if system_compiler() else [ZIGLANG]
 
 
 get_requires_for_build_editable = get_requires_for_build_wheel
