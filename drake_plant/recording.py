@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from contact_system import Scene
 from contact_system.checks import Array
 from contact_system.files import a_path, writing
+from contact_system.plots.meshes import ribbons
 from contact_system.plots.style import DISTURBED, INK, colour_of
 
 from .config import body_names
@@ -159,10 +160,9 @@ def draw(meshcat: Meshcat, result: SimulationResult) -> None:
     recording, scene = meshcat.get_mutable_recording(), result.scene
     times = np.arange(0.0, result.t[-1], 1.0 / recording.frames_per_second())
     frames = np.searchsorted(result.t, times)  # the logged row for each frame
-    for path, curve, drawn, colour in _curves(result):
-        meshcat.SetTriangleMesh(
-            path, *curve, rgba(colour), side=Meshcat.SideOfFaceToRender.kDoubleSide
-        )
+    for path, (points, faces), drawn, colour in _curves(result):
+        side = Meshcat.SideOfFaceToRender.kDoubleSide
+        meshcat.SetTriangleMesh(path, points.T, faces.T.astype(np.int32), rgba(colour), side=side)
         if drawn is not None:
             for frame, segments in enumerate(np.searchsorted(drawn, times).tolist()):
                 recording.SetProperty(frame, f"{path}/<object>", "drawn", float(segments))
@@ -197,7 +197,7 @@ def _branch(scene: Scene, on: int) -> str:
 
 def _curves(
     result: SimulationResult,
-) -> Iterator[tuple[str, tuple[Array, Array], Array | None, str]]:
+) -> Iterator[tuple[str, tuple[np.ndarray, np.ndarray], Array | None, str]]:
     """For each curve: Meshcat's path, ribbon, when its points are drawn (None: at once), colour."""
     scene, state = result.scene, result.measured["state"]
     for i, contact in enumerate(scene.contacts):
@@ -213,18 +213,8 @@ def _curves(
         ):
             known = np.isfinite(points + normals).all(axis=1)
             at, up = points[known], normals[known]
-            curve = _ribbon(at + LIFT * size * up, up, width * size)
+            curve = ribbons(at + LIFT * size * up, up, width * size)
             yield path, curve, None if shade == INK else result.t[known], shade
-
-
-def _ribbon(points: Array, normals: Array, width: float) -> tuple[Array, Array]:
-    """Vertices (3, 2m) and triangles (3, 2m - 2) of a band along points (m, 3) on a surface."""
-    side = np.cross(normals, np.gradient(points, axis=0))
-    side *= width / np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-12)
-    vertices = np.stack([points + side, points - side], axis=1).reshape(-1, 3)
-    first = 2 * np.arange(len(points) - 1)[:, None]
-    faces = np.hstack([first + [0, 1, 2], first + [1, 3, 2]]).reshape(-1, 3)
-    return np.asfortranarray(vertices.T), np.asfortranarray(faces.T.astype(np.int32))
 
 
 def _views(result: SimulationResult, middle: Array, times: Array) -> Iterator[RigidTransform]:

@@ -42,21 +42,27 @@ class Mesh:
 
     def strips(self, every: int, width: float) -> tuple[np.ndarray, np.ndarray]:
         """Points (m, 3) and triangles (k, 3) of strips along every n-th line; width in m."""
-        grid = self.points.reshape(*self.shape, 3)
-        both = grid[::-1], grid.swapaxes(0, 1)  # one reversed, so that strips face outwards
-        across = np.concatenate([np.gradient(x, axis=0)[::every] for x in both])
-        across *= width / 2 / np.linalg.norm(across, axis=-1, keepdims=True)
-        lines = np.concatenate([x[::every] for x in both])
-        points = np.stack([lines - across, lines + across], axis=2)
-        numbers = np.arange(points.size // 3).reshape(points.shape[:3])
-        return points.reshape(-1, 3), _triangles(numbers)
+        grids = (x.reshape(*self.shape, 3) for x in (self.points, self.normals))
+        points, normals = (np.concatenate([x[::every], x.swapaxes(0, 1)[::every]]) for x in grids)
+        return ribbons(points, normals, width / 2)
+
+
+def ribbons(points: np.ndarray, normals: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points (m, 3) and triangles (k, 3) of strips along lines (..., n, 3) on a surface.
+
+    They face along the surface's normals, in the order of the lines; ``half``: of their width, m.
+    """
+    side = np.cross(normals, np.gradient(points, axis=-2))
+    side *= half / np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-12)
+    edges = np.stack([points - side, points + side], axis=-2)
+    return edges.reshape(-1, 3), _triangles(np.arange(edges.size // 3).reshape(edges.shape[:-1]))
 
 
 def _triangles(grid: np.ndarray) -> np.ndarray:
-    """Triangles (k, 3) of grids of indices of points (..., n, m)."""
+    """Triangles (k, 3) of grids of indices of points (..., n, m), two for each cell."""
     a, b = grid[..., :-1, :-1], grid[..., 1:, :-1]
     c, d = grid[..., 1:, 1:], grid[..., :-1, 1:]
-    return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+    return np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
 
 
 def mesh_of(plan: Plan, side: int, contacts: Sequence[int], cells: int = CELLS) -> Mesh | None:
