@@ -89,11 +89,11 @@ def _press(page, name):
 def test_a_slider_value_without_a_valid_scene_is_refused_and_the_picture_stays(tmp_path):
     explorer = Explorer(cs.load_scene("K1"), tmp_path / "x.toml", port=0)
     try:
-        shown = explorer.shown
+        shown = explorer.picture.plan
         explorer.gain.value = -1.0
         assert explorer.wake.wait(10)
         explorer.step(0.0)
-        assert "-1.0" in explorer.said.content and explorer.shown is shown
+        assert "-1.0" in explorer.said.content and explorer.picture.plan is shown
     finally:
         explorer.close()
 
