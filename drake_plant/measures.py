@@ -26,9 +26,9 @@ ROLLS = 1e-2  # of sigma; a plan with less slip counts as rolling
 # A contact slides if slip is above so many times that before any disturbance, and so many m/s.
 SLIDING, CREEPING = 10.0, 1e-3
 CARRIED = 0.95  # of the weight; an object of which less is carried falls
-# A contact does not follow the plan if it is off by more than this part of both the path's length
-# and the finger's size.
-ASTRAY = 0.5
+# A contact does not follow the plan if it is off by more than these parts of the path's length and
+# of the finger's size; where contacts rest, compliance alone is a part of the path.
+ASTRAY, BESIDE = 0.5, 0.05
 LATELY, MOMENT = 0.5, 0.01  # s before the end that are judged, and over which a speed is measured
 
 
@@ -84,8 +84,8 @@ class ContactReport:
     path : float
         Length of the planned path on the object [m].
     astray : bool
-        Whether `distance` is more than half of `path` and of the finger's size, as if bodies touch
-        almost along a line, or at a second place.
+        Whether `distance` is more than half of `path` and 5 % of the finger's size, as if bodies
+        touch almost along a line, or at a second place.
     """
 
     name: str
@@ -309,7 +309,7 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
         found = _rolling(result, i, early, steady)
         found |= _rejection(result, i, spans, acting[:, 0], found["slip_before"])
         name, size = result.scene.contact_name(i), result.scene.contacts[i].finger.size
-        astray = found["distance"] > ASTRAY * max(found["path"], size)
+        astray = found["distance"] > max(ASTRAY * found["path"], BESIDE * size)
         pushed = any(p.on in (name, "object") and p.start < t[-1] for p in result.config.pushes)
         found |= {"kept": kept, "time_off": float(off[i]), "pushed": pushed, "astray": astray}
         reports.append(ContactReport(name=name, **found))
