@@ -117,7 +117,7 @@ def _modulus(config: StationConfig, touch: Touch, inner: Array) -> float:
     """Hydroelastic modulus, Pa, for the stiffness at the normal force, averaged over the curve."""
     below = inner[cKDTree(inner).query(touch.points[0])[1]]
     height = np.sum(touch.normals * (touch.points[0] - below), axis=1)
-    compliance = np.nanmean(1 / (height * touch.relative_curvature))
+    compliance = np.mean(1 / (height * touch.relative_curvature))
     return config.stiffness**2 / (4 * math.pi * config.normal_force * float(compliance))
 
 

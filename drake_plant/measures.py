@@ -376,7 +376,7 @@ def misses(result: SimulationResult) -> Array:
 def recovery_time(t: Array, slip: Array, since: float, level: float) -> float:
     """Time from ``since`` until slip is below a level for good, s: 0 if it is never above, inf if
     it is not below at the end, or if there is no row after ``since``."""
-    after = t >= since - EARLY  # integrators end a step at the last number before an edge
+    after = t >= since - EARLY  # rows are at an edge but for rounding
     t, above = t[after], slip[after] >= level
     if not len(t) or above[-1]:
         return math.inf
