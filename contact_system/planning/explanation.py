@@ -80,9 +80,10 @@ def _reason(scene: Scene, contact: int, windows: Windows, f: Fact) -> str:
     if f.reason == PUSHED:
         return _disturbances(windows, f)
     if scene.contacts[contact].follows:
-        confirms = "; integrated even where a closed form is known, to confirm it"
-        return "rolling is imposed" + confirms * on_finger
-    if f.offset:
+        why = "rolling is imposed"
+        if on_finger:
+            return why + "; integrated even where a closed form is known, to confirm it"
+    elif f.offset:
         why = _disturbances(windows, f) + ", slip" * (f.reason == SLIPS)
     elif f.reason != NO_SLIP and last.profile == STILL and f.start >= last.start:
         return "the contact rests"
