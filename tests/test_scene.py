@@ -244,6 +244,7 @@ FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(
         ),
         (scene_with(paper=[1]), ["paper = [1]", "table"]),
         (scene_with(drake={"mass": math.nan}), ["drake: mass", "nan"]),
+        (scene_with(paper={1: 2}), ["paper = {1: 2}", "keyed by texts"]),
         (scene_with(drake={"push": [{"on": None}]}), ["drake: push[0]: on = None", "texts"]),
         (scene_with(drake={"duration": 1.0}), ["drake: key 'duration'", "above all headers"]),
         (contact_with(finger=0.04), ["finger = 0.04", "Sphere"]),

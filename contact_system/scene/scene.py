@@ -321,7 +321,9 @@ def _plain(value: Any, key: str) -> Any:
         return [_plain(x, f"{key}[{k}]") for k, x in enumerate(value)]
     if isinstance(value, (str, int)) or (isinstance(value, float) and math.isfinite(value)):
         return value
-    raise SceneError(f"{key} = {value!r}: give finite numbers, texts, lists or tables of them")
+    raise SceneError(
+        f"{key} = {value!r}: give finite numbers, texts, lists or tables of them, keyed by texts"
+    )
 
 
 def acting(scene: Scene, t: float) -> np.ndarray:
