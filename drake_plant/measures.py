@@ -82,7 +82,7 @@ class ContactReport:
         Greatest distance on the object, before any disturbance, of the measured contact point from
         that of the plan before restarts [m].
     path : float
-        Length of the planned path on the object [m].
+        Length of the path on the object, as planned before restarts [m].
     astray : bool
         Whether `distance` is more than half of `path` and 5 % of the finger's size, as if bodies
         touch almost along a line, or at a second place.
@@ -365,12 +365,14 @@ def durations(result: SimulationResult) -> Array:
     return lasts
 
 
+def planned_points(result: SimulationResult) -> Array:
+    """Contact points on the object, (m, n, 3), m, as planned before any restart."""
+    return result.planned.get("first_contact_point", result.planned["contact_point"])
+
+
 def misses(result: SimulationResult) -> Array:
-    """From planned to measured contact points on the object, (m, n, 3), m; if the planner restarts,
-    the planned ones are those of the plan before."""
-    planned = result.planned
-    first = planned.get("first_contact_point", planned["contact_point"])
-    return result.measured["contact_point"] - first
+    """From planned to measured contact points on the object, (m, n, 3), m."""
+    return result.measured["contact_point"] - planned_points(result)
 
 
 def recovery_time(t: Array, slip: Array, since: float, level: float) -> float:
@@ -399,7 +401,7 @@ def _rolling(
     states, obj = result.planned["state"][:, i], result.scene.object
     root = obj.metric_root(states[:, 4], states[:, 5])
     speed = np.linalg.norm(np.einsum("mij,mj->mi", root, states[:, 6:8]), axis=1)  # on the object
-    steps = np.diff(result.planned["contact_point"][:, i], axis=0)
+    steps = np.diff(planned_points(result)[:, i], axis=0)
     slips = of_plan > ROLLS * result.scene.speeds(t)[:, i]
     moves = before & ~slips & (speed > STANDING * speed.max())  # a path may start or end at rest
     return {

@@ -36,6 +36,7 @@ from drake_plant import (
     ScenePlant,
     SetInitialState,
     StationConfig,
+    contact_table,
     outcome,
     push_table,
     rolling_scene,
@@ -183,8 +184,9 @@ def test_restarts_of_the_plan_while_a_finger_is_pushed_do_not_jerk_it():
         said.measured["contact_point"] - said.planned["contact_point"] for said in (often, opened)
     )
     assert np.abs(often_off).max() < np.abs(off).max()
-    table = push_table(opened)[0]
-    # `farthest` is measured from the first plan, to which no restart leads back
+    table, opened_path = push_table(opened)[0], contact_table(opened)[0].path
+    # `farthest` and `path` are those of the first plan, to which no restart leads back
+    assert contact_table(often)[0].path == pytest.approx(opened_path, rel=1e-6)
     assert push_table(often)[0].farthest > table.farthest
     assert table.left == pytest.approx(np.linalg.norm(off[-1, 0]), rel=1e-6)
 
