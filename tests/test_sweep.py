@@ -104,13 +104,15 @@ def test_the_summary_is_what_rejections_and_states_tell():
         rolling_towards(4, gain=cs.Gain.time(50.0), object_velocity="rolling", disturbances=[BUMP]),
         rolling_towards(5, object_velocity="rolling"),
     ]
-    for row, plan in zip(cs.sweep(scenes).table, map(cs.plan, scenes)):
+    table = cs.sweep(scenes).table
+    for row, plan in zip(table, map(cs.plan, scenes)):
         (exact,) = cs.rejections(plan)
         assert (row["slip_start"], row["slip_end"]) == (exact.start, exact.end)
         assert row["slip_peak"] == pytest.approx(exact.peak, rel=0.02)
         assert row["recovery"] == pytest.approx(exact.time, rel=0.02, nan_ok=True)
         assert row["state_end"] == pytest.approx(plan.states(1.0)[0, 0], abs=1e-12)
-    never, exponential, _, at_once, _, none = cs.sweep(scenes).table["recovery"]
+    assert (table["slip_peak"] == table["slip_start"])[:2].all()  # slip only shrinks
+    never, exponential, _, at_once, _, none = table["recovery"]
     assert (never, at_once) == (math.inf, 0.0) and math.isnan(none)
     assert exponential == pytest.approx(math.log(20) / 7, rel=1e-9)
 
