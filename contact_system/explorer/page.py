@@ -232,8 +232,8 @@ class Explorer:
 
     def _click(self, origin: np.ndarray, direction: np.ndarray) -> None:
         """Make the point where a ray meets the object the goal of the chosen finger."""
-        self.clicked, at = (), self.picture.met(origin, direction)
-        if at is None:
+        self.clicked = ()
+        if (at := self.picture.met(origin, direction)) is None:
             return
         before, i = dict(self.goals), int(self.finger.value.partition(":")[0])
         self.goals[i] = Goal(object_at=at)
