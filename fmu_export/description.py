@@ -308,6 +308,7 @@ def terminals(table: Table) -> str:
 
 
 def xml_text(root: ET.Element) -> str:
-    """An XML document."""
+    """An XML document, with U+FFFD for each character that XML does not have."""
     ET.indent(root)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, "unicode")}\n'
+    text = re.sub("[\0-\x08\v\f\x0e-\x1f\ufffe\uffff]", "\ufffd", ET.tostring(root, "unicode"))
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'

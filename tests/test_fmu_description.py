@@ -185,10 +185,11 @@ def test_names_of_scenes_become_model_identifiers_and_are_escaped_in_xml(written
         "x" * 300: "x" * 100,
     }.items():
         assert model_identifier(C2.replace(name=name)) == identifier
-    scene = C2.replace(name="a<b>&\"c'", description="1 < 2 & 3")
+    scene = C2.replace(name="a<b>&\"c'", description="1 < 2 & 3\x01\n\ufffe\U0001f600")
     for version in ("2.0", "3.0"):
         read = read_model_description(written(scene, version))
-        assert (read.modelName, read.description) == (scene.name, scene.description)
+        told = "1 < 2 & 3\ufffd\n\ufffd\U0001f600"  # XML has no control characters
+        assert (read.modelName, read.description) == (scene.name, told)
 
 
 @of_versions
