@@ -342,9 +342,9 @@ def test_an_acceleration_where_sigma_is_zero_can_be_set_and_read_but_no_step_be_
 def test_an_acceleration_where_sigma_is_zero_makes_rates_and_their_derivatives_invalid(
     kind, version
 ):
-    one = Instance(one_contact(profile=(0.0, 1.0)), kind, version)
+    one = Instance(one_contact(profile=(0.0, 1.0), gain=cs.Gain.guaranteed(3.0)), kind, version)
     one.own.enterInitializationMode()
-    rate = "der(contact[1].frame.velocity.x)"
+    rate, slip = "der(contact[1].frame.velocity.x)", "contact[1].frame.slip.x"
     words = r"der\(contact\[1\].frame.velocity.x\) has no value at t = 0 s: sigma is zero"
     one.refused(words, one.directional, [rate], [PUSH], [1.0])
     one.put({PUSH: 0.5})
@@ -353,3 +353,5 @@ def test_an_acceleration_where_sigma_is_zero_makes_rates_and_their_derivatives_i
     one.refused(words, one.get, rate)  # this once was 4e+297 with status OK
     one.put({PUSH: 0.0})
     assert one.get(rate) == [0.0]
+    # under this law slip is gone at rest, whatever V is
+    assert one.get(f"der({slip})") == one.directional([f"der({slip})"], [slip], [1.0]) == [0.0]

@@ -34,6 +34,11 @@ static void find_result_tangents(component_t *c, long i) {
       c->engine->step_tangents(&(program_t){t->body, r}, c->system_tangents);
     });
     memcpy(results, c->system_tangents + t->first_out, bytes);
+    const long n_states = states_of(c->model, i), w = 1 + n_states;
+    if (leaves_slip_behind(c, i) && none_accelerates(c->registers + w, 1)) /* as its value */
+      for (int d = 0; d < L; d++)
+        if (none_accelerates(c->system_tangents[w] + d, L))
+          results[n_states - 2][d] = results[n_states - 1][d] = 0.0;
   }
   for (long j = 0; j < n && past_end(c); j++)
     for (int d = 0; d < L; d++) results[j][d] = NAN;

@@ -32,6 +32,13 @@ static double *load_system(component_t *c, long i, double (*tangents)[L]) {
   return r;
 }
 
+/* Whether none of the four accelerations acts; their stride: L in tangents */
+static int none_accelerates(const double *w, int stride) {
+  for (int j = 0; j < 4; j++)
+    if (w[j * stride] != 0.0) return 0;
+  return 1;
+}
+
 /* Sets V among states, or V' among rates, to zero. */
 static void no_slip(const model_t *m, long i, double *x) {
   x[states_of(m, i) - 2] = x[states_of(m, i) - 1] = 0.0;
@@ -47,8 +54,7 @@ static void compute_from_states(component_t *c, long i, int group, int end) {
   const double *w = r + 1 + states_of(m, i);
   /* V' is infinite at rest, also without an acceleration: solvers evaluate a rest in mid-motion
      before the event there, which sets V to zero */
-  if (leaves_slip_behind(c, i) && w[0] == 0.0 && w[1] == 0.0 && w[2] == 0.0 && w[3] == 0.0)
-    no_slip(m, i, found);
+  if (leaves_slip_behind(c, i) && none_accelerates(w, 1)) no_slip(m, i, found);
   for (long k = at_of(m, i, group); k < at_of(m, i, end); k++)
     c->value[k] = past_end(c) ? NAN : found[k - at_of(m, i, OF_RATES)];
 }

@@ -35,10 +35,7 @@ static void pass_edges(component_t *c) {
 
 /* Whether an input accelerates contact i at rest: then W' is infinite, and no step is possible. */
 static int pushed_at_rest(const component_t *c, long i) {
-  const double *input = values_of(c, i, OF_INPUTS);
-  for (int j = 0; j < 4; j++)
-    if (input[j] != 0.0) return rests(c, i);
-  return 0;
+  return !none_accelerates(values_of(c, i, OF_INPUTS), 1) && rests(c, i);
 }
 
 enum { TRIGGER, MEASURED }; /* offsets in the group OF_MEASURED */
