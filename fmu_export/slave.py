@@ -59,6 +59,8 @@ def in_process(scene: Scene, fmi_version: str = "2.0", **given: Any) -> Iterator
         "model_description": read_model_description(slave.unzipDirectory, validate=True),
         "fmu_instance": slave,
         "fmi_type": "CoSimulation",
+        "use_event_mode": given.get("event_mode", False),
+        "early_return_allowed": given.get("early_return", False),
     }
 
 

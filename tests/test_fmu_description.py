@@ -195,15 +195,19 @@ def test_names_of_scenes_become_model_identifiers_and_are_escaped_in_xml(written
 @of_versions
 def test_the_description_of_a_slave_has_its_capabilities(version):
     with in_process(K1, version) as planner:
-        read = planner["model_description"]
-        assert (
-            "ntermediateUpdate" not in Path(planner["filename"], "modelDescription.xml").read_text()
-        )
+        text, read = Path(planner["filename"], "modelDescription.xml"), planner["model_description"]
+        assert "ntermediateUpdate" not in text.read_text()
     assert read.fmiVersion == version and read.modelExchange is None
     assert read.coSimulation.canHandleVariableCommunicationStepSize
     assert not read.coSimulation.canInterpolateInputs
     with pytest.raises(cs.ContactSystemError, match="fmi_version = '1.0' is unknown.*2.0, 3.0"):
         in_process(K1, "1.0").__enter__()
+
+
+def test_fmpy_steps_a_slave_with_event_mode_to_each_event():
+    with in_process(cs.load_scene("K2"), "3.0", event_mode=True, early_return=True) as planner:
+        times = fmpy.simulate_fmu(**planner, output_interval=0.25)["time"].tolist()
+    assert times == [0.0, 0.1, 0.1, 0.25, 0.5, 0.75, 1.0]
 
 
 @pytest.mark.parametrize("measured", ["pose", "states"])
