@@ -321,6 +321,8 @@ def test_outputs_have_sigma_slip_speed_active_disturbance_and_recovery_time(kind
         close(one.get(*names), np.array(expected, dtype=float))
     rate = 20.0 - scene.profile.rate(2.2) / scene.profile(2.2)
     assert one.get("contact[2].recovery_time")[0] == pytest.approx(math.log(20) / rate, rel=1e-12)
+    one = Instance(one_contact(profile=(0.0, 0.2), gain=cs.Gain.guaranteed(5.0)), kind, version)
+    assert one.begin().get("contact[1].recovery_time") == pytest.approx([math.log(20) / 5])
 
 
 @of_versions
