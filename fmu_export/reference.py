@@ -19,6 +19,7 @@ from contact_system.scene import Scene
 
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref/"
 RESULTS_FILE = f"{FOLDER}reference.csv"
+BAR = 1e-10  # for `check_fmu`
 ROWS = 51  # times, from the beginning to the end of the scene
 RESULTS = {"points": ("finger.point", "object.point"), "twist": ("twist.angular", "twist.linear")}
 """Results of `Plan.evaluate` that exist at poles too -> the variables of a contact."""
@@ -42,24 +43,22 @@ def reference_files(scene: Scene) -> dict[str, bytes]:
     return {f"{FOLDER}{manifest.name}": manifest.read_bytes(), RESULTS_FILE: text.encode()}
 
 
-def check_fmu(path: str | os.PathLike[str], bar: float = 1e-10) -> float:
+def check_fmu(path: str | os.PathLike[str]) -> float:
     """Run an FMU's Co-Simulation by fmpy against the reference results inside it.
 
     Parameters
     ----------
     path : path
-    bar : float
-        Bound of the greatest difference, as a fraction of the greatest value of its variable.
 
     Returns
     -------
     float
-        The greatest difference.
+        The greatest difference, as a fraction of the greatest value of its variable.
 
     Raises
     ------
     ContactSystemError
-        The difference is greater than the bar, or there are no reference results.
+        The difference is greater than 1e-10, or there are no reference results.
     """
     with opened(path, "an FMU with reference results") as archive:
         text = archive.read(RESULTS_FILE).decode()
@@ -78,8 +77,8 @@ def check_fmu(path: str | os.PathLike[str], bar: float = 1e-10) -> float:
         raise ContactSystemError(f"{path}: {len(found)} rows came out instead of {len(wanted)}")
     sizes = np.maximum(np.abs(wanted).max(axis=0), 1e-3)
     worst = float((np.abs(found - wanted) / sizes).max())
-    if not worst <= bar:
+    if not worst <= BAR:
         raise ContactSystemError(
-            f"{path}: off its reference results by {worst:.2g}, more than {bar:g}"
+            f"{path}: off its reference results by {worst:.2g}, more than {BAR:g}"
         )
     return worst
