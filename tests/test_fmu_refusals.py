@@ -312,6 +312,8 @@ def test_a_step_that_would_take_too_many_pieces_is_refused(version):
     one.step(1e-3)
     one.put({PUSH: 1e100})  # no plan can be made with it, and so there are no derivatives
     one.refused("too fast", one.directional, ["der(contact[1].frame.slip.x)"], [PUSH], [1.0])
+    slow = Instance(one_contact(profile=(1e-6,)), "FMU", version).begin(start={PUSH: 1e6})
+    slow.refused("too long", slow.step, 1.0)  # it does not rest
 
 
 @of_blocks

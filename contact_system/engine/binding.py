@@ -65,7 +65,7 @@ class Followed(Structure):
 class Failure(Structure):
     """``failure_t``: why a call failed."""
 
-    _fields_ = _each(c_int64, "code contact side panels by_length pushed tried most costliest")
+    _fields_ = _each(c_int64, "code contact side panels by_length at_rest tried most costliest")
     _fields_ += _each(c_double, "t end value u v")
 
 

@@ -129,7 +129,8 @@ enum {
 };
 
 typedef struct {
-  int64_t code, contact, side, panels, by_length, pushed;
+  int64_t code, contact, side, panels, by_length;
+  int64_t at_rest;                /* an acceleration acts where the path almost rests */
   int64_t tried, most, costliest; /* panels tried: in all, the most by one contact; that contact */
   double t, end, value, u, v;     /* value: sigma; if TOO_LONG, sizes of path, more than `end` */
 } failure_t;

@@ -16,6 +16,8 @@ static const double FALL = 4.5;
 /* The least ratio of the next panel's length to that of one that was refused, and that ratio where
    sweeps do not converge: half of it makes no difference, 0.5 takes 0.3 % more sweeps. */
 static const double SHRINK = 0.35;
+/* An accelerated path almost rests below this part of the greatest coefficient of sigma. */
+static const double ALMOST_RESTS = 1e-5;
 enum { SWEEPS = 40 };           /* 20 to 100 make no difference */
 enum { ESTIMATE_EVERY = 4096 }; /* panels between two estimates of how many more it will take */
 
@@ -293,8 +295,12 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   failure_t *e = w->failure;
   const double start = k->by_length ? 0.0 : k->drive->start;
   e->t = start + s->tau, e->end = start + m->length, e->panels = count;
-  e->by_length = k->by_length, e->pushed = m->pushed;
+  e->by_length = k->by_length;
   e->value = k->by_length ? 1.0 : sigma_at(k->drive, s->tau);
+  double greatest = 0.0;
+  for (int64_t i = 0; i < k->drive->n_sigma; i++)
+    greatest = fmax(greatest, fabs(k->drive->sigma[i]));
+  e->at_rest = m->pushed && e->value <= ALMOST_RESTS * greatest;
   if (k->body) {
     double place[5] = {m->state[0], m->state[1]};
     if (k->in_space) run_body(w, k->body, IN_SPACE, M_COORDINATES, m->state, place);

@@ -15,7 +15,6 @@ from ..errors import ChartSingularity, ContactSystemError, SceneError, SurfaceEr
 from ..scene import DISTURBANCE_KINDS, SIDES, STILL, Disturbance, Scene
 from ..surfaces import ImplicitSurface, Surface
 
-ALMOST_RESTS = 1e-5  # of the greatest coefficient of sigma
 EPS = 2.0**-52
 
 # failure_t.code, and kind and reason of fact_t, as in engine.h
@@ -168,7 +167,11 @@ def _ended_early(scene: Scene, failure: Failure, surface: Surface) -> str:
     """Where and why a motion ended early, and what to do."""
     where = f"{failure.t:.9g}"
     reached = f"arc length {where} m" if failure.by_length else f"t = {where} s"
-    why, at_rest = _singular(surface, (failure.u, failure.v)), _accelerated_at_rest(scene, failure)
+    why = _singular(surface, (failure.u, failure.v))
+    at_rest = failure.at_rest and (
+        f"an acceleration acts where the path almost rests, sigma = {failure.value:.3g} m/s; add a "
+        "constant to the profile, or accelerate before or after"
+    )
     if failure.code == STUCK and not why:
         why = at_rest or (
             "the path reaches a singular point of its chart or its surface (start elsewhere, "
@@ -218,18 +221,6 @@ def _singular(surface: Surface, place: tuple[float, float]) -> str:
     except SurfaceError:  # the place is not visible from the centre
         pass
     return ""
-
-
-def _accelerated_at_rest(scene: Scene, failure: Failure) -> str:
-    """What to do if an acceleration acts where the path almost rests; empty if not."""
-    sigma, way = failure.value, scene.way(failure.contact)
-    greatest = max(abs(c) for leg in way for c in leg.profile.coefficients)
-    if not failure.pushed or sigma > ALMOST_RESTS * greatest:
-        return ""
-    return (
-        f"an acceleration acts where the path almost rests, sigma = {sigma:.3g} m/s; add a "
-        "constant to the profile, or accelerate before or after"
-    )
 
 
 def _far_away(surface: Surface, at: Sequence[float]) -> str:

@@ -84,7 +84,6 @@ typedef struct {
   int changed, evaluated; /* an input changed in continuous time; then rates were evaluated */
 } component_t;
 
-#define ALMOST_RESTS 1e-5   /* as in explanation.py: part of the greatest coefficient of sigma */
 #define MOST_PANELS 20000.0 /* of one plan: a second of work, kilometres of path */
 
 /* whether results are computed from the states, else from plans */

@@ -159,7 +159,7 @@ static status_t refuse_motion(component_t *c, status_t status, long i, double t,
     why = f->code == NO_MEMORY  ? "there is no memory"
           : f->code == TOO_LONG ? "the path is so long that rounding would leave less "
                                   "than four digits of its position; make shorter steps"
-          : f->pushed && f->value <= ALMOST_RESTS ? AT_REST
+          : f->at_rest          ? AT_REST
           : f->code == TOO_MANY_PANELS
               ? "a step is too long, it would take too many pieces of motion; make shorter steps"
               : "the path reaches a singular point of its chart or its surface, or moves too fast "
