@@ -127,7 +127,11 @@ class Profile:
         return polynomial(integral(self.coefficients), as_time(t))
 
     def shifted(self, t0: float) -> Coefficients:
-        """Coefficients of tau -> sigma(t0 + tau), each rounded once."""
+        """Coefficients of tau -> sigma(t0 + tau), each rounded once.
+
+        Rounding may put a zero of sigma just below zero, which scenes refuse: `Plan.continued` goes
+        on from t0 without it.
+        """
         c, start = exact_product(self.coefficients), Fraction(finite_number(t0, "t0"))
         powers = range(len(c))
         return tuple(
