@@ -155,7 +155,8 @@ class ParametricSurface(UserSurface):
     def coordinates(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return (u, v) of points (..., 3) on the surface, m.
 
-        Raises a SurfaceError for a point that is not within 1e-9 of the surface's size of it.
+        Raises a SurfaceError for a point that is not within 1e-9 of the surface's size of it; and
+        for some on charts with more than 16 waves over u_range or v_range: narrow that.
         """
         points = self._points(x)
         u, v, miss = self.nearest(points)
