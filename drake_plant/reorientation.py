@@ -218,7 +218,8 @@ def _rolled(chains: Chains, path: Any) -> tuple[Array, Array, Array]:
 
     room.terminal = True  # type: ignore[attr-defined]
     span = path.start_time(), path.end_time()
-    longest, error = (span[1] - span[0]) / STEPS, ACCURATE * chains.unit
+    # without 1.001 rounding may leave a last step of 1e-17 s, and nonsense for its acceleration
+    longest, error = 1.001 * (span[1] - span[0]) / STEPS, ACCURATE * chains.unit
     made = solve_ivp(rates, span, q_start, max_step=longest, events=room, rtol=ACCURATE, atol=error)
     t, q = made.t, made.y.T
     chains.refuse_limits(t, q)

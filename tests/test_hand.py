@@ -165,6 +165,8 @@ def test_a_hand_moves_the_object_along_a_trajectory_of_drakes(joints):
     fast = [RigidTransform(RotationMatrix.MakeZRotation(0.02 * np.sin(9 * x))) for x in t]
     path = PiecewisePose.MakeCubicLinearWithEndLinearVelocity(t, fast)
     assert plan_reorientation(Hand(joints=joints), H2, path=path).slip.max() < 1e-8
+    brief = PiecewisePose.MakeLinear([0.0, 0.35], [RigidTransform(), fast[4]])  # 16 equal steps
+    assert np.abs(plan_reorientation(Hand(joints=joints), H2, path=brief).a).max() < 1.0
     with pytest.raises(cs.SceneError, match="lasts from 0 to 4 s, the scene from 0 to duration"):
         plan_reorientation(Hand(), H2.replace(duration=3.0), path=path)
 
