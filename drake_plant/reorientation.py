@@ -345,6 +345,12 @@ def _refuse_pads(scene: Scene, hand: Hand, t: Array, points: Array) -> None:
         away = np.linalg.norm(points[:, i] - contact.finger.point(*contact.finger_at), axis=1)
         if away.max() > hand.pad:
             k = int(np.argmax(away > hand.pad))
+            if k == 0:
+                raise SceneError(
+                    f"{scene.contact_title(i)} begins {away[0]:.4g} m from the middle of its pad, "
+                    f"pad = {hand.pad:g} m; give the finger_at that the hand turns to the object, "
+                    "a larger pad, or put the hand elsewhere"
+                )
             raise SceneError(
                 f"{scene.contact_title(i)} rolls off its pad, pad = {hand.pad:g} m, at t = "
                 f"{t[k]:.3g} s, and would come to {away.max():.4g} m from the pad's middle; turn "
