@@ -117,8 +117,8 @@ class Chains:
         Names of the joints, in the order of q.
     slides : (nq,)
         Whether a joint is prismatic: then it has m and N, else rad and N m.
-    lower, upper, effort : (nq,)
-        Limits of positions, and of torques.
+    lower, upper, fastest, effort : (nq,)
+        Limits of positions, speeds and torques.
     middle, unit : (nq,)
         Middles of the joints' ranges, and the units in which joints are compared.
     joints : list of list of int
@@ -171,7 +171,7 @@ class Chains:
                 f"hand: {where}: it cannot move, or has one limit alone; give it two different "
                 "limits, or none, or make it a fixed joint"
             )
-        self.effort = np.full(len(moving), np.inf)
+        self.fastest, self.effort = plant.GetVelocityUpperLimits(), np.full(len(moving), np.inf)
         for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
             self.effort[actuator.joint().velocity_start()] = actuator.effort_limit()
         moves = [plant.GetBodiesKinematicallyAffectedBy([joint.index()]) for joint in moving]
@@ -324,6 +324,17 @@ class Chains:
             k, joint = np.argwhere(over)[0]
             i = next(i for i, own in enumerate(self.joints) if joint in own)
             raise self.cannot_follow(i, t[k], self._limits([joint], q[k]))
+
+    def refuse_speeds(self, t: Array, v: Array) -> None:
+        """Raise a SceneError at the first time at which a joint is too fast; v (m, nq)."""
+        over = np.abs(v) > self.fastest
+        if over.any():
+            k, joint = np.argwhere(over)[0]
+            unit = "m/s" if self.slides[joint] else "rad/s"
+            raise SceneError(
+                f"joint {self.names[joint]} moves at {v[k, joint]:.3g} {unit} at t = {t[k]:.3g} s, "
+                f"its limit is {self.fastest[joint]:.3g}; move more gently, or give a faster hand"
+            )
 
     def cannot_follow(self, i: int, t: float, why: str) -> SceneError:
         name = self.scene.contact_title(i)

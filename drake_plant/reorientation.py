@@ -166,8 +166,8 @@ def plan_reorientation(
     ------
     SceneError
         A finger does not reach its contact or a limit of a joint is in its way; a contact leaves
-        its pad, or the object's end, or would slip; no forces balance the wrench; a torque is
-        beyond its limit; a path is not within the scene's duration.
+        its pad, or the object's end, or would slip; no forces balance the wrench; a joint's speed
+        or torque is beyond its limit; a path is not within the scene's duration.
     """
     of_kind(Hand, hand, "hand", "a Hand")
     if config is None:
@@ -254,6 +254,7 @@ def _routed(chains: Chains, path: Any, t: Array, q: Array) -> tuple[Array, Array
         near = q + (t[1] - t[0]) * v
     q, v = np.array(rows).swapaxes(0, 1)
     chains.refuse_limits(t, q)
+    chains.refuse_speeds(t, v)
     return t, q, v, route
 
 
@@ -278,6 +279,7 @@ def _planned(
     if min(map(len, chains.joints)) >= FREE:
         with contextlib.suppress(SceneError):  # those that cannot follow legs spin
             t, q, v, route = _routed(chains, path, t, q)
+    chains.refuse_speeds(t, v)
     X_WO = np.array([path.GetPose(time).GetAsMatrix4() for time in t])
     R = X_WO[:, :3, :3]
     found = contacts_of(chains, path, t, q, v)

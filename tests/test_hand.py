@@ -93,9 +93,17 @@ def test_what_a_hand_cannot_do_is_refused_with_the_reason(changes, words):
         hand_plan(**changes)
 
 
-def test_who_only_moves_too_fast_is_not_told_to_press_less():
+def test_who_only_moves_too_fast_is_not_told_to_press_less(tmp_path):
     with pytest.raises(cs.SceneError, match="its limit is 0.7; move more gently"):
         hand_plan(H2.replace(duration=0.05))
+    limit = r"\1<velocity>0.04</velocity>"  # 0.006 rad/s on legs, 0.066 with spin
+    slow = re.sub("(finger_2_joint_3.*</effort>)", limit, own_hand(AZIMUTHS, 6))
+    assert hand_plan(hand=file_table(tmp_path, slow)).route
+    slow = own_hand(AZIMUTHS, 6).replace("</effort>", "</effort><velocity>0.3</velocity>")
+    table = file_table(tmp_path, slow)
+    assert hand_plan(hand=table).route is None  # legs take up to 0.39 rad/s
+    with pytest.raises(cs.SceneError, match="_joint_. moves at .* its limit is 0.3; move more"):
+        hand_plan(H2.replace(duration=1.0), hand=table)
 
 
 def test_point_contact_on_an_ellipsoid_is_refused():
@@ -142,12 +150,9 @@ def test_a_users_model_a_hundred_times_lighter_moves_as_the_packages_hand(tmp_pa
     )
     contacts = [dataclasses.replace(c, name=x) for c, x in zip(H2.contacts, ("hand", "b", "c"))]
     light = {key: 0.01 * H2.drake[key] for key in ("object_mass", "finger_mass", "stiffness")}
-    light |= {
-        "normal_force": 0.02,
-        "contact_model": "point",
-        "hand": file_table(tmp_path, text),
-    }
-    light["hand"] |= {"model": "package://light/mine.sdf", "base": [0, 0, -0.13]}
+    hand = {"model": "package://light/mine.sdf", "base": [0, 0, -0.13]}
+    light |= {"normal_force": 0.02, "contact_model": "point"}
+    light["hand"] = file_table(tmp_path, text) | hand
     plan = hand_plan(H2.replace(contacts=contacts), **light)
     np.testing.assert_allclose(plan.q, hand_plan(contact_model="point").q, atol=1e-6)
     told = hand_report(pickle.loads(pickle.dumps(simulate(plan.scene, duration=0.3))))
