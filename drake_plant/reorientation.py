@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -166,8 +167,9 @@ def plan_reorientation(
     ------
     SceneError
         A finger does not reach its contact or a limit of a joint is in its way; a contact leaves
-        its pad, or the object's end, or would slip; no forces balance the wrench; a joint's speed
-        or torque is beyond its limit; a path is not within the scene's duration.
+        its pad, or the object's end, or would slip; fingertips overlap; no forces balance the
+        wrench; a joint's speed or torque is beyond its limit; a path is not within the scene's
+        duration.
     """
     of_kind(Hand, hand, "hand", "a Hand")
     if config is None:
@@ -287,6 +289,7 @@ def _planned(
     points = np.stack([found[..., ON_FINGER], found[..., ON_OBJECT]], axis=2)
     _refuse_pads(rolling, config.hand, t, points[:, :, 0])
     _refuse_ends(rolling, t, points[:, :, 1])
+    _refuse_overlap(scene, t, points[:, :, 1], found[..., NORMAL])
     normals, arms = (
         np.einsum("mij,mnj->mni", R, part) for part in (-found[..., NORMAL], points[:, :, 1])
     )
@@ -370,6 +373,20 @@ def _refuse_ends(scene: Scene, t: Array, points: Array) -> None:
             f"at z = {points[k, i, 2]:.3g} m, and a cylinder ends {REACH:g} m beyond the contacts "
             "at the start; turn it less"
         )
+
+
+def _refuse_overlap(scene: Scene, t: Array, points: Array, normals: Array) -> None:
+    """Raise a SceneError if fingertips overlap, which in the plant pass through each other; points
+    on the object and normals out of it, (m, n, 3)."""
+    sizes = np.array([[contact.finger.size] for contact in scene.contacts])
+    centres = points + sizes * normals
+    for i, j in itertools.combinations(range(len(sizes)), 2):
+        apart = np.linalg.norm(centres[:, i] - centres[:, j], axis=1)
+        if (over := apart < sizes[i] + sizes[j]).any():
+            raise SceneError(
+                f"{scene.contact_title(i)} and {scene.contact_title(j)} overlap at t = "
+                f"{t[np.argmax(over)]:.3g} s; put contacts farther apart, or give smaller fingers"
+            )
 
 
 def object_inertia(scene: Scene, config: StationConfig) -> SpatialInertia:

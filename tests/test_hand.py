@@ -106,9 +106,12 @@ def test_who_only_moves_too_fast_is_not_told_to_press_less(tmp_path):
         hand_plan(H2.replace(duration=1.0), hand=table)
 
 
-def test_point_contact_on_an_ellipsoid_is_refused():
+def test_point_contact_on_an_ellipsoid_and_tips_that_overlap_are_refused():
     with pytest.raises(cs.SceneError, match="is exact for a sphere on a sphere or on a plane"):
         hand_plan(H2.replace(object=cs.Ellipsoid(0.05, 0.05, 0.05)), contact_model="point")
+    beside = dataclasses.replace(H2.contacts[1], object_at=(1.75, 0.47))
+    with pytest.raises(cs.SceneError, match="finger 1. and contact 1 .finger 2. overlap at t"):
+        hand_plan(H2.replace(contacts=[H2.contacts[0], beside, H2.contacts[2]]))
 
 
 AZIMUTHS = [0, 2 * math.pi / 3, -2 * math.pi / 3]
