@@ -84,12 +84,13 @@ def add_body(
     depth, edge = contact_depth(config), getattr(config, EDGES[side])
     patch = math.sqrt(2 * depth / (curvature + opposing))
     gap = GAPS[side] * depth if edge is None else (curvature + opposing) * edge**2 / 2
-    domain = mesh = None
     shape: Shape = HalfSpace()
+    reach, mesh = REACH + patch, None
     properties, hydroelastic = _material(config), config.contact_model == "hydroelastic"
-    if not isinstance(surface, Plane):
-        domain = domain_of(surface, curve, REACH + patch, opposing)
-        shape = SphereShape(surface.size)
+    if isinstance(surface, Plane):  # for pictures alone; a narrow strip would take many patches
+        domain = domain_of(surface, curve, reach + np.ptp(curve, axis=0).max() / 4, opposing)
+    else:
+        domain, shape = domain_of(surface, curve, reach, opposing), SphereShape(surface.size)
         if hydroelastic:
             mesh = contact_mesh(domain, curve, opposing, gap, STRIP + patch)
     if hydroelastic and side:
@@ -107,8 +108,7 @@ def add_body(
         inertia = solid_inertia(name, surface, mass, mesh)
     body, at = plant.AddRigidBody(name, plant.AddModelInstance(name), inertia), RigidTransform()
     plant.RegisterCollisionGeometry(body, at, shape, name, properties)
-    paintings = [(shape, colour)] if domain is None else painted(domain, colour)
-    for k, (painting, shade) in enumerate(paintings):
+    for k, (painting, shade) in enumerate(painted(domain, colour)):
         plant.RegisterVisualGeometry(body, at, painting, f"{name}_{k}", shade.rgba)
     return body
 

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("pydrake")
 
 from conftest import SURFACES
+from pydrake.geometry import Mesh, Role
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
@@ -131,8 +132,11 @@ def test_the_depth_follows_from_the_stiffness_and_the_normal_force():
     assert contact_depth(point) == pytest.approx(4e-4)
 
 
-def test_a_plane_pushes_along_its_normal_also_far_from_the_planned_curve():
+def test_a_plane_pushes_also_far_from_the_planned_curve_and_is_no_half_space_in_films():
     world = World(rolling(cs.Plane(), at=(0.0, 0.0)))
+    inspector = world.parts.scene_graph.model_inspector()  # Meshcat shows no half spaces
+    drawn = inspector.GetAllGeometryIds(Role.kIllustration)
+    assert {type(inspector.GetShape(x)) for x in drawn} == {Mesh}
     world.place(world.parts.finger_bodies[0], RigidTransform([7.0, -3.0, 0.04 - DEPTH]))
     ((force, _),) = world.patches().values()
     assert force == pytest.approx([0, 0, -1], abs=0.02)
