@@ -162,7 +162,8 @@ class StationConfig:
         Of the :class:`ContactPlanner`, s and m; if both are None it does not restart. Restarts have
         to fall on steps of the plant. Use ``slip_gain`` to reject slip, and restarts where a finger
         is too far from the planned curve to be led back. Restarts also take over errors of the
-        measured rates, which add up: in C1, with one every 10 ms, to 1.3 mm after 0.3 s.
+        measured rates, which add up: with one every 10 ms, in C1 to 1.3 mm after 0.3 s, and in R1,
+        where they are large beside the low speeds about corners, to 41 mm after 4 s.
     pushes : list of Push
         If there are any, they take the place of the station's port `push`.
     hand : Hand or None
