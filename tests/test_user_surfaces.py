@@ -322,8 +322,8 @@ def test_many_threads_may_read_formulas_and_plan_with_them_at_once():
             ["v_period = 6.2832", "to all digits"],
         ),
         (
-            lambda: ParametricSurface(
-                ("v*cos(u)", "v*sin(u)", "0.1*u"), u_period=2 * pi, inside=True
+            lambda: ParametricSurface(  # with points at v > 0 alone
+                ("0.1*u", "v", "sqrt(v)"), u_period=2 * pi, v_range=(0.1, 1), inside=True
             ),
             ["u_period", "0.628 m apart"],
         ),

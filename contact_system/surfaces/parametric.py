@@ -42,9 +42,9 @@ class ParametricSurface(UserSurface):
         Details narrower than a tenth of it, on otherwise flat ground, may be overlooked: then give
         the scale of the details.
     u_range, v_range : pairs of float, optional
-        Where the inverse chart starts to search; default: one period about 0, or (-pi, pi). If the
-        chart has points twice, give the part in which f_u x f_v points out of the body, such as
-        (0, pi) for the polar angle of a ball.
+        Ranges of f's arguments in which the inverse chart starts to search; default: one period
+        about 0, or (-pi, pi). If the chart has points twice, give the part in which f_u x f_v
+        points out of the body, such as (0, pi) for the polar angle of a ball.
     u_period, v_period : float, optional
         Period of a periodic coordinate.
     inside : bool
@@ -104,6 +104,7 @@ class ParametricSurface(UserSurface):
         """Raise if points one period apart differ: wrapping coordinates would move contacts."""
         places = np.array([0.1, 0.4, 0.8])
         u, v = (low + (high - low) * places for low, high in (self.u_range, self.v_range))
+        v *= self.sign  # the ranges are those of the formula's arguments
         for name, period in (("u", self.u_period), ("v", self.v_period)):
             if period is None:
                 continue
