@@ -134,7 +134,7 @@ def _add_foreign(commands: Any, words: Sequence[str]) -> None:
             point.load()(commands)
         except Exception as error:  # importing another package may raise anything
             reason = str(error).partition("\n")[0] or type(error).__name__
-            remedy = f'; pip install ".[{point.name}]" in the clone'
+            remedy = f'; pip install "contact-system[{point.name}]"'
             hint = f"unavailable: {reason}{'' if 'pip install' in reason else remedy}"
             if words and words[0] == point.name:
                 raise ContactSystemError(f"the command '{point.name}' is {hint}") from None

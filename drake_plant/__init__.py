@@ -12,7 +12,7 @@ try:
     import scipy  # noqa: F401
 except ImportError as error:
     raise ImportError(
-        'drake_plant needs Drake and scipy: pip install ".[drake]" in the clone (Linux, macOS): '
+        'drake_plant needs Drake and scipy: pip install "contact-system[drake]" (Linux, macOS): '
         f"{error}"
     ) from error
 

@@ -17,7 +17,7 @@ from contact_system.errors import ContactSystemError
 try:
     import fmpy  # noqa: F401
 except ImportError as error:
-    raise ImportError('FmuSystem needs fmpy: pip install ".[fmu]" in the clone') from error
+    raise ImportError('FmuSystem needs fmpy: pip install "contact-system[fmu]"') from error
 
 from .fmu_contents import PortVariables
 from .fmu_instance import Given, Instance, Moment, Names

@@ -5,7 +5,7 @@ try:
 except ImportError as error:
     raise ImportError(
         "fmu_export needs fmpy, for FMI's headers and its validation: "
-        f'pip install ".[fmu]" in the clone ({error})'
+        f'pip install "contact-system[fmu]" ({error})'
     ) from error
 
 from .export import export_fmu

@@ -117,7 +117,7 @@ def test_run_of_k1_says_which_gain_law_reproduces_the_papers_recovery_time(tmp_p
 def test_run_without_matplotlib_still_writes_numbers(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert _run("run", "torus", "--out", tmp_path) == 0
-    assert 'pip install ".[plot]" in the clone' in capsys.readouterr().out
+    assert 'pip install "contact-system[plot]"' in capsys.readouterr().out
     assert (tmp_path / "torus.csv").exists()
 
 

@@ -625,7 +625,7 @@ def test_the_exported_planner_moves_as_the_planner_in_the_same_diagram(
 def test_without_fmpy_importing_fmu_system_says_what_to_install_and_the_rest_works(monkeypatch):
     monkeypatch.setitem(sys.modules, "fmpy", None)
     monkeypatch.delitem(sys.modules, "drake_plant.fmu_system")
-    with pytest.raises(ImportError, match=re.escape('pip install ".[fmu]" in the clone')):
+    with pytest.raises(ImportError, match=re.escape('pip install "contact-system[fmu]"')):
         importlib.import_module("drake_plant.fmu_system")
     names: dict = {}
     exec("from drake_plant import *", names)

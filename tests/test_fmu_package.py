@@ -298,4 +298,4 @@ def test_options_of_the_wrong_kind_are_refused(option, wrong, words, tmp_path):
 def test_without_fmpy_the_import_says_what_to_install():
     code = "import sys; sys.modules['fmpy'] = None; import fmu_export"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert 'pip install ".[fmu]" in the clone' in run.stderr
+    assert 'pip install "contact-system[fmu]"' in run.stderr

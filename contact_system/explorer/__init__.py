@@ -6,5 +6,5 @@ try:
     import viser  # noqa: F401
 except ImportError as error:
     raise ContactSystemError(
-        f'the explorer needs viser: pip install ".[explore]" in the clone ({error})'
+        f'the explorer needs viser: pip install "contact-system[explore]" ({error})'
     ) from None

@@ -120,7 +120,7 @@ def Picture(path: str | os.PathLike[str], size: tuple[float, float], dpi: int) -
         from matplotlib.backend_bases import FigureCanvasBase
         from matplotlib.figure import Figure
     except ImportError as error:
-        remedy = f'pictures need matplotlib: pip install ".[plot]" in the clone ({error})'
+        remedy = f'pictures need matplotlib: pip install "contact-system[plot]" ({error})'
         raise MissingMatplotlib(remedy) from None
     ending = path.suffix[1:].lower()
     if ending not in FigureCanvasBase.get_supported_filetypes():
