@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import socket
 import threading
 import time
@@ -84,7 +85,7 @@ class Explorer:
             elif self.stale:
                 self._plan_again()
         except ContactSystemError as error:
-            self.said.content = f"**Refused, so the picture stays:** {error}"
+            self.said.content = f"**Refused, so the picture stays:** {_plain(error)}"
         if self.playing:
             span = self.picture.plan.end - self.picture.plan.start
             self.now = (self.now + elapsed) % span
@@ -104,7 +105,7 @@ class Explorer:
         gui, scene = self.server.gui, self.base
         gui.configure_theme(show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()  # beside the picture, which else is partly behind it
-        self.said = gui.add_markdown(scene.description)
+        self.said = gui.add_markdown(_plain(scene.description))
         self.slip = gui.add_uplot(
             (np.zeros(2),) * (1 + len(scene.contacts)),  # until there is a plan
             ({"label": "time"}, *map(self._slip_style, range(len(scene.contacts)))),
@@ -213,7 +214,7 @@ class Explorer:
         planned = plan(scene)
         with self.server.atomic():  # otherwise the browser may draw twice
             self._show(planned)
-            self.said.content, self.forget.disabled = text, not self.goals
+            self.said.content, self.forget.disabled = _plain(text), not self.goals
             for folder in self.idle:
                 folder.visible = not self.goals
 
@@ -249,9 +250,14 @@ class Explorer:
             moved = self.picture.plan.scene.replace(name=self.file.stem, **NO_CLAIMS)
             save_scene(moved, self.file)
         except ContactSystemError as error:
-            self.said.content = f"**Not saved:** {error}"
+            self.said.content = f"**Not saved:** {_plain(error)}"
         else:
-            self.said.content = f"Wrote `{self.file}`"
+            self.said.content = f"Wrote {_plain(self.file)}"
+
+
+def _plain(text: object) -> str:
+    """Text for Markdown that shows as it stands: one from a scene could load a picture."""
+    return re.sub(r"([!-/:-@[-`{-~])", r"\\\1", str(text))
 
 
 def _require_free(port: int) -> None:
