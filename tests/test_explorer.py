@@ -105,7 +105,10 @@ def test_a_slider_value_without_a_valid_scene_is_refused_and_the_picture_stays(t
 def test_every_slider_gives_a_scene_or_an_error_at_its_ends_and_its_value(name):
     scene = cs.load_scene(name)
     assert any(slider.folder == "profile" for slider in sliders_of(scene)) == (name not in "H1 R1")
-    assert any(slider.label == "v on the finger" for slider in sliders_of(scene))
+    labels = {slider.label for slider in sliders_of(scene)}
+    assert "v on the finger" in labels
+    slips = any(contact.object_velocity != "rolling" for contact in scene.contacts)
+    assert ("x velocity on the object" in labels) == slips
     for slider in sliders_of(scene):
         ends = [slider.made(x) for x in (slider.low, slider.value, slider.high)]
         assert slider.low <= slider.value <= slider.high and ends[0] != ends[2], slider.label

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..plots.meshes import closed_span
-from ..scene import Scene
+from ..scene import REST, ROLLING, Scene
 from ..surfaces import Surface
 from ..surfaces.base import OfLengths
 
@@ -41,6 +41,8 @@ def adjusted(part: Any, values: Mapping[Place, Any]) -> Any:
         below.setdefault(head, {})[tuple(rest)] = value
     if not below:
         return part
+    if part == REST:
+        part = 0.0, 0.0
     if isinstance(part, tuple):
         return tuple(adjusted(x, below.get(k, {})) for k, x in enumerate(part))
     if isinstance(part, Mapping):
@@ -136,3 +138,9 @@ def _of_starts(scene: Scene) -> Iterator[Slider]:
 
             places = ((*place, "finger_velocity"),)
             yield Slider(folder, "direction [rad]", *turn, angle, places, turned)
+        if contact.object_velocity != ROLLING:  # which follows from the finger
+            start = contact.start()
+            most = 2 * max(map(abs, start.finger_velocity + start.object_velocity)) or 1.0
+            for k, value in enumerate(start.object_velocity):
+                label, own = f"{'xy'[k]} velocity on the object", (*place, "object_velocity", k)
+                yield Slider(folder, label, -most, most, value, (own,))
