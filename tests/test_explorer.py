@@ -50,6 +50,7 @@ def test_a_slider_plans_again_and_a_click_on_the_object_is_reached_and_saved(tmp
             page.click(*_middle(shown))
             page.wait(r"/^(?!.*t\^0).*to the goal/s.test(document.body.innerText)", LONG)
             page.wait(lambda: np.abs(_picture(page) - shown).max() > 0.3, LONG)
+            assert _coloured(_picture(page), "#e6e680") < 500  # nothing lights up below the mouse
             _press(page, "Save scene")
             page.wait("document.body.innerText.includes('Wrote ')", LONG)
             assert {url.split("/")[2] for url in page.urls if url[:2] in ("ht", "ws")} == {

@@ -29,7 +29,7 @@ class Picture:
     """A plan in viser's scene, at times t (n,): points (n, contacts, 2, 3), pose (n, contacts, 4,
     4), slip (n, contacts). All nodes are added at once; later only their properties change.
 
-    A click on the object calls a function with the ray's origin and direction.
+    A click calls a function with the ray's origin and direction.
     """
 
     def __init__(self, server: viser.ViserServer, first: Plan, clicked: Callable[..., None]):
@@ -65,8 +65,8 @@ class Picture:
             for i in range(len(contacts))
         ]
 
-        @self.bodies[0].on_click
-        async def _(event: Any) -> None:
+        @tree.on_click()  # if the object itself took clicks, it would be painted below the mouse
+        def _(event: Any) -> None:
             clicked(np.array(event.ray_origin), np.array(event.ray_direction))
 
     def show(self, plan: Plan, goals: Mapping[int, Goal]) -> None:
