@@ -147,11 +147,11 @@ def test_outputs_that_cannot_be_saved_are_refused_by_name(outputs, said):
         cs.sweep(family(3), lambda plan: outputs(len(plan.scene.contacts)))
 
 
-def angles(scene: cs.Scene) -> dict[str, np.ndarray]:
+def angles(scene: cs.Scene, of=lambda contact: contact.angle) -> dict[str, np.ndarray]:
     """An evaluation of scenes, not of plans, that fails for K1."""
     if scene.name == "K1":
         raise ValueError("not this one")
-    return {"angle": np.array([contact.angle for contact in scene.contacts])}
+    return {"angle": np.array([of(contact) for contact in scene.contacts])}
 
 
 def test_with_each_a_function_gets_the_scenes_one_by_one_and_no_plan(tmp_path):
@@ -308,20 +308,27 @@ def test_a_folder_or_a_file_that_cannot_be_written_is_refused_by_name(tmp_path):
         cs.sweep(["C1"], folder=tmp_path)
 
 
-def state_at(t: float | np.ndarray):
-    """A function of a plan: its state at t."""
+def state_at(t: float | np.ndarray, change=np.abs):
+    """A function of a plan: its state at t, changed by another function."""
 
     def end(plan: cs.Plan) -> dict[str, np.ndarray]:
-        return {"end": plan.states(np.reshape(t, 1))[0]}
+        return {"end": change(plan.states(np.reshape(t, 1))[0])}
 
     return end
 
 
-@pytest.mark.parametrize("times", [(0.1, 0.5), np.array([[0.1], [0.1 + 3e-10]])])
-def test_saved_results_are_not_used_for_a_function_with_another_captured_value(times, tmp_path):
-    for t in times:
-        found = cs.sweep(family(1), state_at(t), folder=tmp_path).table["end"]
-        assert found == pytest.approx(cs.plan(family(1)[0]).states(np.reshape(t, 1))[0], abs=1e-12)
+ALMOST = (np.array(0.1),), (np.array(0.1 + 3e-10),)
+PAIRS = [((0.1,), (0.5,)), ALMOST, ((0.1, np.ndarray.copy), (0.1, np.square))]
+
+
+@pytest.mark.parametrize("captured", PAIRS)
+def test_saved_results_are_not_used_for_a_function_with_another_captured_value(captured, tmp_path):
+    for values in captured:
+        end = state_at(*values)
+        found = cs.sweep(family(1), np.errstate()(end), folder=tmp_path).table["end"]
+        assert found == pytest.approx(end(cs.plan(family(1)[0]))["end"], abs=1e-12)
+    with pytest.raises(cs.ContactSystemError, match="must recognise it later"):
+        cs.sweep(family(1), state_at(0.1, lambda states: states), folder=tmp_path)
 
 
 @pytest.mark.parametrize("known", [True, False])

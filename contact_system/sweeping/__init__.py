@@ -109,10 +109,11 @@ def sweep(
         Keep the results of each chunk in a file there, not in memory. The same call continues an
         interrupted sweep: it skips chunks of which the scenes (or the contents of their files), the
         gain laws, the tolerance, the name of ``evaluate``, and the numbers, texts, tuples, arrays
-        and parts of scenes in its closure and defaults of arguments are unchanged. Code is not
-        compared: give another folder after a change of a function or class of yours. A lambda,
-        having no name, is refused. Sweeps may share a folder, even at the same time, and damaged
-        chunks are done again. Results of scenes that have changed stay there.
+        and parts of scenes in its closure and defaults of arguments are unchanged; of one that a
+        function made also the functions there. Code is not compared: give another folder after a
+        change of a function or class of yours. A lambda, having no name, is refused. Sweeps may
+        share a folder, even at the same time, and damaged chunks are done again. Results of scenes
+        that have changed stay there.
     chunk : int, optional
         Number of scenes that a worker takes at a time, and at most plans together; default 500, or
         1 with ``each``.

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -46,30 +47,33 @@ def read(path: Path) -> Part | None:
 def digest(run: Run, first: int, items: tuple[Item, ...]) -> str:
     """Digest of everything that determines a chunk's results."""
     evaluate, tolerance, _ = run.args
-    name = getattr(evaluate, "__qualname__", "")
-    # a lambda has no name, and a method's result depends on its object
-    if not name or "<lambda>" in name or hasattr(evaluate, "__self__"):
-        function = _pickled(evaluate)
-    else:
-        function = f"{evaluate.__module__}.{name} {_enclosed(evaluate)}".encode()
-    result = hashlib.sha256(function + f"{__version__} {LAWS} {tolerance!r} {first}".encode())
+    result = hashlib.sha256(_identity(evaluate))
+    result.update(f"{__version__} {LAWS} {tolerance!r} {first}".encode())
     for item in items:
         result.update(_content(item))
     return result.hexdigest()[:32]
 
 
-def _enclosed(function: Callable) -> str:
-    """The numbers, texts, tuples, arrays and parts of scenes in a function's closure and defaults
-    of arguments, as text. Lists and dicts are left out, as the function may write to them."""
+def _identity(function: Callable, *outer: Callable) -> bytes:
+    """A function's name, and the numbers, texts, tuples, arrays, parts of scenes and functions in
+    its closure and defaults of arguments. Lists and dicts are left out, as it may write to them."""
+    name = getattr(function, "__qualname__", "")
+    # a lambda has no name, and a method's result depends on its object
+    if not name or "<lambda>" in name or hasattr(function, "__self__"):
+        return _pickled(function)
     found = [*(getattr(function, "__defaults__", None) or ())]
     found += (getattr(function, "__kwdefaults__", None) or {}).values()
     for cell in getattr(function, "__closure__", None) or ():
         with contextlib.suppress(ValueError):  # a name without a value yet
             found.append(cell.cell_contents)
     kinds = (numbers.Number, str, tuple, np.ndarray, Scene, Surface, Contact, Profile, Gain)
-    values = [value for value in found if isinstance(value, kinds)]
+    values: list[Any] = [value for value in found if isinstance(value, kinds)]
+    if "<locals>" in name:  # the name of another tells which functions it has
+        outer += (function,)  # one that calls itself has itself
+        values += [_identity(x, *outer) for x in found if callable(x) and x not in outer]
+    module = getattr(function, "__module__", "")  # methods of types in C have none
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):  # arrays in full
-        return repr(values)
+        return f"{module}.{name} {values!r}".encode()
 
 
 def _content(item: Item) -> bytes:
