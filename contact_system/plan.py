@@ -27,8 +27,8 @@ from .checks import (
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .files import a_path, opened, writing
 from .planning.motion import SHAPES, Motion
-from .planning.starts import Moment, Starts, measured_start, on_branch
-from .scene import Scene, Start, acting, require_scene, scene_from_toml, scene_to_toml
+from .planning.starts import Starts, measured_start, on_branch, read_starts
+from .scene import Scene, acting, require_scene, scene_from_toml, scene_to_toml
 
 METHODS = ("auto", "chart")
 SOLVERS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
@@ -498,9 +498,10 @@ def load(path: str | os.PathLike[str]) -> Plan:
     if path.suffix == ".toml":
         raise ContactSystemError(f"{path} is a scene file: give it to load_scene, or a plan's .npz")
     with opened(path, "a plan written by Plan.save") as archive:
-        scene, inputs = _text(archive, "scene"), json.loads(_text(archive, "plan"))
-        inputs["starts"] = list(map(_start, inputs["starts"] or ()))
-        return Plan(scene_from_toml(scene, str(path)), **inputs)
+        text, inputs = _text(archive, "scene"), json.loads(_text(archive, "plan"))
+        scene = scene_from_toml(text, str(path))
+        inputs["starts"] = read_starts(scene, inputs["start"], inputs["starts"])
+        return Plan(scene, **inputs)
 
 
 def _text(archive: Any, name: str) -> str:
@@ -508,9 +509,3 @@ def _text(archive: Any, name: str) -> str:
     size = archive.getinfo(f"{name}.npy").file_size
     within("PLAN_BYTES", size, f"{name}.npy: bytes when unpacked", ContactSystemError)
     return str(np.load(io.BytesIO(archive.read(f"{name}.npy"))))
-
-
-def _start(table: dict[str, Any]) -> Start | Moment:
-    """How a contact of a saved plan starts."""
-    fields: Any = {key: tuple(x) if isinstance(x, list) else x for key, x in table.items()}
-    return Moment(**fields) if "slip" in fields else Start(**fields)

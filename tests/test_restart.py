@@ -7,6 +7,7 @@ import copy
 import csv
 import dataclasses
 import functools
+import json
 import pickle
 from math import pi
 
@@ -259,22 +260,27 @@ def test_csv_file_holds_states_and_slip_to_the_last_digit(tmp_path):
 
 
 def test_files_that_no_plan_was_saved_to_are_refused(tmp_path):
-    plan = cs.plan(one_contact())
+    plan = cs.plan(one_contact(cs.Quadric(np.diag([1, 0.7, -0.5])), object_at=(1.0, 24.0)))
     with pytest.raises(cs.ContactSystemError, match="unknown ending '.mat'; use .npz or .csv"):
         plan.save(tmp_path / "plan.mat")
     with pytest.raises(cs.ContactSystemError, match="cannot be read: .*No such file"):
         cs.load(tmp_path / "none.npz")
     path = tmp_path / "junk.npz"
-    plan.save(path)
+    plan.continued(0.4).save(path, [0.5])
+    assert cs.load(path).start == 0.4  # and rounding is large, 1e10 sizes from the origin
     with np.load(path) as data:
         kept = dict(data)
-    headers = "{}", "[]", '{"tolerance": 1e-9, "method": "auto", "solver": "", "start": "x"}'
+    header = json.loads(str(kept["plan"]))
+    (start,) = header["starts"]
+    wrong = {"finger_at": [1.0, 1.0], "angle": None, "slip": [np.nan, 0], "object_frame": [0.1] * 6}
+    edits = [{"start": 1.0}, *({"starts": [start | {key: wrong[key]}]} for key in wrong)]
+    headers = ["{}", "[]", *(json.dumps(header | edit) for edit in edits)]  # the scene lasts 1 s
     contents = [functools.partial(np.savez, path, **{**kept, "plan": x}) for x in headers]
     contents += [functools.partial(np.savez, path, x=np.zeros(3))]
     contents += [functools.partial(path.write_bytes, x) for x in (b"junk", b"", b"PK\3\4 cut")]
     for write in contents:
         write()
-        with pytest.raises(cs.ContactSystemError, match="junk.npz: not a plan written by Plan.sav"):
+        with pytest.raises(cs.ContactSystemError, match="junk.npz: (not a plan written|start)"):
             cs.load(path)
 
 

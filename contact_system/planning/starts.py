@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..checks import naming
+from ..checks import finite_number, naming, shaped_array
 from ..errors import SceneError
-from ..scene import Scene, Start, speed
+from ..scene import SIDES, Scene, Start, speed
 from ..scene.legs import length
-from ..surfaces import Surface
+from ..surfaces import Surface, run_in_space
+from ..theory.development import in_space
 
 
 class Moment(NamedTuple):
@@ -42,6 +43,43 @@ def require_place(surface: Surface, u: float, v: float, place: str) -> None:
             f"same point as ({at[0]:.9g}, {at[1]:.9g}), where the rates and psi have other "
             "values"
         )
+
+
+def read_starts(scene: Scene, begin: Any, tables: Any) -> Starts | None:
+    """How a saved plan starts at a time, s, from the tables in its file.
+
+    The file may be from anybody, and the engine trusts its numbers: refuses a time at which no plan
+    begins, numbers that are missing or not finite, and points off the bodies.
+    """
+    if not 0 <= finite_number(begin, "start") < scene.duration:
+        raise SceneError(f"start = {begin!r}: the scene lasts from 0 to {scene.duration:g} s")
+    starts: list[Start | Moment] = []
+    kind: Any = Moment if tables and "slip" in tables[0] else Start
+    for contact, table in zip(scene.contacts, tables or (), strict=bool(tables)):
+        fields = {key: tuple(x) if isinstance(x, list) else x for key, x in table.items()}
+        with naming(f"starts[{len(starts)}]"):
+            starts.append(_checked(kind(**fields), contact.finger, scene.object))
+    return starts or None
+
+
+def _checked(start: Start | Moment, *bodies: Surface) -> Start | Moment:
+    """The start; refuses numbers that no plan has."""
+    for key, value in start._asdict().items():
+        shape: tuple[int, ...] = (3,) if key.endswith("_at") and type(start) is Moment else (2,)
+        if key.endswith("_frame"):
+            shape = (6,) if in_space(bodies[SIDES.index(key[:6])]) else (0,)
+        shaped_array(value, key, () if key == "angle" else shape, finite=True)
+    for side, body in zip(SIDES, bodies):
+        if isinstance(start, Start):
+            u, v = getattr(start, f"{side}_at")
+            require_place(body, u, v, side)
+        elif in_space(body):
+            frame = getattr(start, f"{side}_frame")
+            off = run_in_space(body, "restore", np.transpose([frame]))[:, 0] - frame
+            size = max(body.size, math.hypot(*frame[:3]))  # far points are rounded more
+            if not np.abs(off / ([size] * 3 + [1.0] * 3)).max() <= 1e-9:
+                raise SceneError(f"{side}_frame = {frame}: off the body, or no unit tangent")
+    return start
 
 
 def measured_start(
