@@ -180,6 +180,7 @@ PUSHED = scene(SMALL, ROUND).replace(disturbances=[PUSH])
 ROLLS = {"finger_velocity": "rolling", "object_velocity": (1.0, 0.0)}
 SLIDING = {"finger_velocity": (0.0, 0.0), "object_velocity": (1.0, 0.0)}
 FOLLOWING = scene(SMALL, ROUND, **ROLLS)
+EQUAL = scene(SMALL, SMALL, object_velocity="rest")
 TWO = scene(SMALL, ROUND)
 TWO = TWO.replace(contacts=TWO.contacts * 2)
 REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
@@ -194,6 +195,7 @@ REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
     "rests alone": ("every goal is None", lambda: cs.reach(scene(SMALL, ROUND), [None])),
     "an angle at a pole": ("pole", _reach({**WHOLE, "finger_at": (0.0, 0.0)})),
     "almost equal spheres": ("almost .* more than 2 %", _reach(WHOLE, obj=cs.Sphere(0.0401))),
+    "a small turn of equal spheres": ("the same", lambda: cs.loop(EQUAL, 1e-5)),
     "flat bodies": ("choose a ball", _reach(WHOLE, cs.Plane(), cs.Quadric(np.diag([90.0, 9, 0])))),
     "mirror images": ("leave parts", _reach(TWO_PLACES, TWIN, TWIN, MIRRORED, legs=2)),
     "a start outside its region": ("the start lies", _reach({**PLACE, "finger_within": FAR})),

@@ -298,7 +298,7 @@ class _Search:
             limits.append(f"with no leg above {self.longest:g} m")
         if limits:
             why += f" {' and '.join(limits)}; widen that, or leave parts of the goal out"
-        if self.nearest < NEAR and self.aim.contact.object_velocity != ROLLING:
+        if self.nearest < self.near and self.aim.contact.object_velocity != ROLLING:
             why += (
                 "; paths without slip do, but slip leads off them; raise the gain, or let it roll"
             )
