@@ -16,8 +16,8 @@ COEFFICIENTS = 64
 WINDOWS = 1e4
 """Disturbances of a scene; one on all contacts counts once for each of them."""
 PANELS = 5e5
-"""Panels of all contacts of a plan together, rejected ones included; each takes 5 to 20 us, and up
-to 2 kB."""
+"""Panels of all contacts of a plan together, rejected ones included; each takes 5 to 20 us, or 1 ms
+with formulas of thousands of characters, and up to 2 kB."""
 EVALUATIONS = 1.2e5
 """Evaluations of the chart equations in a plan of ``method="chart"``: 10 us each, up to 100 us more
 with an implicit solver."""
