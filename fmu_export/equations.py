@@ -79,7 +79,7 @@ def _condition(law: Law, t: ca.SX, law_values: ca.SX, slip: ca.SX, w: ca.SX) -> 
     profile = ca.vertsplit(law_values[1:])
     sigma = polynomial(profile, t)
     growth = ca.gradient(sigma, t) / ca.fmax(sigma, TINY)
-    # the rate of contraction, lam - growth; at rest a law cannot cancel growth in numbers
+    # the rate of contraction, lam - growth, without what cancels: at rest rho is lost beside it
     remains = ca.fmin(0, growth) if law.cancels_growth else growth
     rate = law.rate(law_values[0], sigma, 0) - remains
     recovery = ca.fmin(-math.log(REJECTED) / ca.fmax(rate, 1e-9), NEVER)

@@ -35,7 +35,8 @@ static void find_result_tangents(component_t *c, long i) {
     });
     memcpy(results, c->system_tangents + t->first_out, bytes);
     const long n_states = states_of(c->model, i), w = 1 + n_states;
-    if (leaves_slip_behind(c, i) && none_accelerates(c->registers + w, 1)) /* as its value */
+    /* V' is zero at rest, as in compute_from_states, unless an acceleration acts or changes */
+    if (leaves_slip_behind(c, i) && none_accelerates(c->registers + w, 1))
       for (int d = 0; d < L; d++)
         if (none_accelerates(c->system_tangents[w] + d, L))
           results[n_states - 2][d] = results[n_states - 1][d] = 0.0;
