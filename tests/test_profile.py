@@ -131,13 +131,6 @@ def test_gains_must_be_finite_and_not_negative(value):
             law(value)
 
 
-def test_an_unknown_gain_law_is_refused():
-    with pytest.raises(SceneError, match="did you mean 'path'.*path, time, guaranteed"):
-        Gain("paths", 1.0)
-    with pytest.raises(SceneError, match=r"law = \['path'\] is unknown"):
-        Gain(["path"], 1.0)
-
-
 # --- contraction -------------------------------------------------------------------------------
 
 
